@@ -931,16 +931,23 @@ class Migration:
     def from_others(self) -> int: ...
     @property
     def bricks(self) -> int: ...
-    def finish(
+    def start(
         self,
         position: NDArray[numpy.float64],
         momentum: NDArray[numpy.float64],
         weight: NDArray[numpy.float64],
         id: NDArray[numpy.int64],
     ) -> bool: ...
+    def receive(
+        self,
+        position: NDArray[numpy.float64],
+        momentum: NDArray[numpy.float64],
+        weight: NDArray[numpy.float64],
+        id: NDArray[numpy.int64],
+    ) -> None: ...
     def carry(self, columns: NDArray[numpy.float64], out: NDArray[numpy.float64]) -> None:
         """
-        After `finish`: further columns, (columns, n), of the same particles. Collective.
+        After `receive`: further columns, (columns, n), of the same particles. Collective.
         """
 
     @property
@@ -995,20 +1002,32 @@ class Shape(enum.Enum):
 
     triangular = 2
 
-def deposit(
-    mesh: ParticleMesh,
-    remote: RemoteBricks,
-    shape: Shape,
-    matched: bool,
-    kokkos: bool,
-    position: NDArray[numpy.float64],
-    momentum: NDArray[numpy.float64],
-    weight: NDArray[numpy.float64],
-    id: NDArray[numpy.int64],
-    starts: NDArray[numpy.int64],
-    charge: float,
-    density: Field,
-) -> None: ...
+class Deposition:
+    def __init__(
+        self,
+        mesh: ParticleMesh,
+        remote: RemoteBricks,
+        shape: Shape,
+        matched: bool,
+        kokkos: bool,
+        position: NDArray[numpy.float64],
+        momentum: NDArray[numpy.float64],
+        weight: NDArray[numpy.float64],
+        id: NDArray[numpy.int64],
+        starts: NDArray[numpy.int64],
+        charge: float,
+        density: Field,
+    ) -> None: ...
+    def begin(self, migration: Migration) -> None:
+        """Those that are in their places while others are under way."""
+
+    def finish(self) -> None:
+        """Collective."""
+
+    @property
+    def left(self) -> int:
+        """How many particles of this rank `finish` is to deposit."""
+
 def gather(
     mesh: ParticleMesh,
     remote: RemoteBricks,

@@ -99,7 +99,8 @@ def migrate(columns: Columns, mesh: Mesh) -> tuple[MaterialPoints, int]:
     del given
     count, came = plan.arriving, plan.from_others
     place, volume, number = np.empty((3, count)).T, np.empty(count), np.empty(count, dtype=np.int64)
-    finite = plan.finish(place, place, volume, number)
+    finite = plan.start(place, place, volume, number)
+    plan.receive(place, place, volume, number)
     raise_together(mesh.comm, None if finite and not len(plan.lost) else "points are not in the mesh", ParticleError)
     place = np.ascontiguousarray(place)
     order = np.lexsort((number, mesh.native.locate(place)[0]))

@@ -8,12 +8,14 @@ from dataclasses import replace
 import numpy as np
 from mpi4py import MPI
 
+from .. import _native
 from ..mesh.domain import FACES
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.window import Window
 from ..particles.particles import Particles, cut
 from ..scene.obstacles import aperture_names
 from ..scene.scene import Scene
+from ..stages.deposit import Deposition
 from ..stages.encounters import Encounters, Flights
 from ..stages.migrate import arranged, migrate_without, share_out, weights
 from .leapfrog import kick
@@ -65,24 +67,36 @@ def _portions(comm: MPI.Comm, bunches: list[Particles]) -> Iterator[Particles]:
                 yield portions.pop(0)
 
 
-def fly(state: State, moved: Particles, window: Window, plan: Plan) -> tuple[Particles, Record, Record]:
+def fly(
+    state: State, moved: Particles, window: Window, plan: Plan, begins_deposit: bool
+) -> tuple[Particles, Deposition | None, Record, Record]:
     """Return the particles of a state where they have `moved`, and its records of losses and screens with those of the flight.
 
     Collective. Each flight is a straight line in the laboratory; those that touch an aperture end there. `window`: where the
-    mesh is then.
+    mesh is then. With `begins_deposit`, the same on all ranks, those that stay on their rank are deposited while others are
+    under way, and the deposit that has begun is returned too.
     """
     scene, hierarchy = plan.scene, state.hierarchy
     flights = Flights(state.particles.position, moved.position, hierarchy.domain, state.window, window)
     stopped = flights.losses(plan.apertures) if scene.apertures else NOTHING
     servers = state.particles.sorted_on(hierarchy).servers
-    particles, outside, missing = migrate_without(moved, hierarchy, stopped.flight, servers, evenly=True)
+    begun: list[Deposition] = []
+
+    def begin_deposit(here: Particles, migration: _native.Migration) -> None:
+        with plan.clock("deposit"):
+            begun.append(Deposition(here, hierarchy, plan.clouds))
+            begun[0].begin(migration)
+
+    meanwhile = (begin_deposit,) if begins_deposit and len(moved.species.kinds) == 1 else ()
+    particles, outside, missing = migrate_without(moved, hierarchy, stopped.flight, servers, True, *meanwhile)
+    deposition = begun[0] if begun else None
     lost = replace(stopped, what=stopped.what + len(FACES))
     if len(outside) > 0:
         lost = lost.joined(flights.exits(outside))
     planes, screens = [screen.z for screen in scene.screens], [screen.name for screen in scene.screens]
     passed = flights.crossings(planes, lost) if planes else NOTHING
     if missing == 0 and not (planes and plan.comm.allreduce(len(passed))):
-        return particles, state.lost, state.screens
+        return particles, deposition, state.lost, state.screens
     met = np.unique(np.concatenate([lost.flight, passed.flight]))
     before = state.window.to_laboratory(_momenta(state, plan, met))
 
@@ -92,7 +106,8 @@ def fly(state: State, moved: Particles, window: Window, plan: Plan) -> tuple[Par
         momentum = late + (2 * of.share - 1)[:, None] * (late - before[np.searchsorted(met, of.flight)])
         return _record(of, momentum, moved, state.time + of.share * state.flight, names)
 
-    return particles, state.lost.joined(recorded(lost, causes(scene))), state.screens.joined(recorded(passed, screens))
+    lost_until_now = state.lost.joined(recorded(lost, causes(scene)))
+    return particles, deposition, lost_until_now, state.screens.joined(recorded(passed, screens))
 
 
 def kicked(state: State, plan: Plan) -> State:

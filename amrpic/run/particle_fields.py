@@ -9,7 +9,7 @@ from ..mesh.hierarchy import Hierarchy
 from ..particles.energy_bins import Frames
 from ..particles.frame import Frame
 from ..particles.particles import Particles
-from ..stages.deposit import deposit
+from ..stages.deposit import Deposition, deposit
 from ..stages.migrate import migrate, shared_out_by_work
 from ..stages.poisson import SolveReport
 from ..stages.regrid import carry_over
@@ -22,7 +22,7 @@ class ParticleFields:
     """Fields of particles that are sorted on a hierarchy. All ranks ask for the same ones: the first time is collective.
 
     Potential and field are carried over from `known`, those of the step before; without it they are solved for, in `frames`, by
-    default those of the particles. Collective to make.
+    default those of the particles. `deposition`: of these particles, if it has begun. Collective to make.
     """
 
     def __init__(
@@ -32,9 +32,11 @@ class ParticleFields:
         plan: Plan,
         known: Solution | None = None,
         frames: Frames | None = None,
+        deposition: Deposition | None = None,
     ) -> None:
         self.particles, self.hierarchy, self.plan, self.known = particles, hierarchy, plan, known
         self.frames = frames if frames is not None else plan.frames(particles)
+        self._deposition = deposition
 
     def on(self, hierarchy: Hierarchy) -> ParticleFields:
         """Return the fields of the same particles on another hierarchy. Collective."""
@@ -46,7 +48,8 @@ class ParticleFields:
     def rho(self) -> Field:
         """Charge density, C/m³."""
         with self.plan.clock("deposit"):
-            return deposit(self.particles, self.hierarchy, self.plan.clouds)
+            begun, self._deposition = self._deposition, None  # its memory goes with it
+            return (begun or Deposition(self.particles, self.hierarchy, self.plan.clouds)).density()
 
     @cached_property
     def solution(self) -> Solution:

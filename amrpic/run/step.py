@@ -35,9 +35,9 @@ def advance(state: State, plan: Plan) -> State:
     with plan.clock("push"):
         moved = _moved(state, plan)
     with plan.clock("migrate"):
-        particles, lost, screens = fly(state, moved, course.window, plan)
+        particles, deposition, lost, screens = fly(state, moved, course.window, plan, not plan.regrids_at(step))
     frames = plan.frames(particles, state.solution.frames, lost.particles, anew=step % EVERY == 0)
-    fields = ParticleFields(particles, state.hierarchy, plan, state.solution, frames)
+    fields = ParticleFields(particles, state.hierarchy, plan, state.solution, frames, deposition)
     if plan.regrids_at(step) or outrun(fields):
         fields = follow(fields, plan.scene.refinement.hysteresis)
     regridded = fields.hierarchy is not state.hierarchy

@@ -8,8 +8,10 @@ with all cells relaxes besides); one cycle more for each solve that estimates th
         + max b byte + m latency + b ranks per node / bandwidth + k log₂(ranks) collective
 
 with its m messages of b bytes, of which those count for the bandwidth that leave its node, or on one node the rank, and k
-collectives. Maxima are over ranks; all ranks of a node send at the same time; levels are visited in turn. No message overlaps
-with work, and stages begin together: what ranks wait for each other between them stands apart.
+collectives. Maxima are over ranks; all ranks of a node send at the same time; levels are visited in turn. Stages begin
+together: what ranks wait for each other between them stands apart. Between nodes the bytes of particles that migrate pass
+while each rank deposits those that stay on it, so that both together take max over ranks of p particle + max(b ranks per node /
+bandwidth − stayed particle, 0); no other message overlaps with work.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ from typing import Self
 
 import numpy as np
 
+from ..mesh.boxes import Array
 from .machine import Machine, Network, Work
 from .measured import NEW_MESH
 from .plan import Plan
@@ -28,14 +31,16 @@ from .plan import Plan
 # Calls of a stage that are counted on virtual ranks, and whether they are made once per cycle.
 STAGES: Mapping[str, Sequence[tuple[str, bool]]] = {
     "push": (),
-    "migrate": (("migrate", False),),
+    "migrate": (("announce", False), ("migrate", False)),
     "deposit": (("deposit", False),),
     "solve": (("solve", False), ("cycle", True)),
     "open walls": (("open walls", False),),
     "gather": (("gather", False),),
     "output": (("output", False),),
 }
-OF_NEW_MESH: Sequence[tuple[str, bool]] = (("set-up", False), ("regrid", False), ("migrate", False), ("deposit", False))
+OF_NEW_MESH: Sequence[tuple[str, bool]] = tuple(
+    (call, False) for call in ("set-up", "regrid", "announce", "migrate", "deposit")
+)
 NETWORK = ("latency", "bandwidth", "collective")
 OF_CELLS = "cells", "swept", "spilled", "swept_spilled", "swept_faces"  # what grows with a rank's cells
 OF_WALLS = "patches", "interactions", "near"
@@ -70,6 +75,7 @@ class Amounts:
     swept_spilled: float
     swept_faces: float
     particles: float
+    stayed: Array  # (ranks,) particles that do not come from other ranks
     moved: float
     bricks: float
     patches: float
@@ -96,6 +102,7 @@ class Amounts:
             spilled * swept * cycles,
             grown * faces * cycles,
             particles,
+            np.maximum(plan.particles - plan.between.sent, 0),
             particles * plan.moved,
             grown * float(plan.bricks.max()),
             *plan.wall_work,
@@ -155,11 +162,25 @@ def stage_time(stage: str, plan: Plan, machine: Machine, amounts: Amounts) -> Ti
     seconds = work.call + sum(
         value * getattr(work, OF_WORK[what]) for what, value in row_of(stage, plan, amounts).items()
     )
-    return Time(seconds, *network_time(stage, plan, machine.network, amounts))
+    messages, collectives = network_time(stage, plan, machine.network, amounts)
+    if stage == "migrate":
+        messages -= hidden_time(plan, machine, amounts)
+    return Time(seconds, messages, collectives)
+
+
+def hidden_time(plan: Plan, machine: Machine, amounts: Amounts) -> float:
+    """Return the seconds in which particles pass between nodes while those that stay on their ranks are deposited."""
+    here = machine.network.ranks_per_node
+    if plan.ranks <= here:
+        return 0.0  # within a node the processors themselves copy
+    particle = machine.work(plan.ranks).get("deposit", Work()).particle
+    passing = plan.leaving("migrate", here) / machine.network.bandwidth
+    together = plan.particles * particle + np.maximum(passing - amounts.stayed * particle, 0)
+    return float(passing + plan.particles.max() * particle - together.max())
 
 
 def network_time(stage: str, plan: Plan, network: Network, amounts: Amounts) -> tuple[float, float]:
-    """Return the seconds of a stage's messages and collectives."""
+    """Return the seconds of a stage's messages and collectives, if none overlaps with work."""
     if plan.ranks == 1:
         return 0.0, 0.0
     here = min(network.ranks_per_node, plan.ranks)

@@ -13,7 +13,7 @@ import numpy as np
 from .. import _native
 from ..mesh.boxes import Array
 from ..mesh.hierarchy import Hierarchy
-from .bricks import Bricks, Served
+from .bricks import WORD, Bricks, Served
 
 WITHIN = 0.25  # of a cell: how far behind a face those lie that came through it
 QUARTERS = (0.25, 0.75)  # of a brick: finer ones that it meets lie around these
@@ -100,21 +100,33 @@ class Leaving:
     source: Array  # int64 (n,)
     target: Array  # int64 (n,)
     particles: Array  # (n,) on average
+    portions: Array  # (n,) bricks that these come to, on average
+
+    @property
+    def met(self) -> Array:
+        """The chance that there is a message, (n,)."""
+        return -np.expm1(-self.particles)
 
     @property
     def messages(self) -> Array:
-        """Those that each rank sends, (ranks,), on average."""
-        return np.bincount(self.source, -np.expm1(-self.particles), self.ranks)
+        """Those that each rank sends, (ranks,), on average, and as many announcements."""
+        return np.bincount(self.source, self.met, self.ranks)
 
     @property
     def sent(self) -> Array:
         """Particles that each rank sends, (ranks,)."""
         return np.bincount(self.source, self.particles, self.ranks)
 
-    def of_nodes(self, ranks_per_node: int) -> Array:
-        """Return the particles that leave each node, (nodes,)."""
+    @property
+    def announced(self) -> Array:
+        """Bytes of announcements, (n,): how many words come, and for each brick its name and how many particles."""
+        return WORD * (self.met + 2 * self.portions)
+
+    def of_nodes(self, ranks_per_node: int, values: Array | None = None) -> Array:
+        """Return the particles that leave each node, (nodes,), or what else ranks send each other, (n,)."""
         source, target = self.source // ranks_per_node, self.target // ranks_per_node
-        return np.bincount(source, self.particles * (source != target), -(-self.ranks // ranks_per_node))
+        given = self.particles if values is None else values
+        return np.bincount(source, given * (source != target), -(-self.ranks // ranks_per_node))
 
 
 def leaving(moves: Moves, held: Served, ranks: int) -> Leaving:
@@ -134,8 +146,17 @@ def leaving(moves: Moves, held: Served, ranks: int) -> Leaving:
     sent = (common > 0) & (server[one] != server[other])
     move, one, other = move[sent], one[sent], other[sent]
     particles = held.bricks.particles[moves.source[move]] * moves.part[move] * (common[sent] / whole)
-    pairs, which = np.unique(server[one] * ranks + server[other], return_inverse=True)
-    return Leaving(ranks, pairs // ranks, pairs % ranks, np.bincount(which, particles, len(pairs)))
+    # Those that one rank sends to a brick of another one, from wherever they come, are a portion.
+    portions, of = np.unique(server[one] * len(brick) + other, return_inverse=True)
+    filled = -np.expm1(-np.bincount(of, particles, len(portions)))
+    pairs, which = np.unique(portions // len(brick) * ranks + server[portions % len(brick)], return_inverse=True)
+    return Leaving(
+        ranks,
+        pairs // ranks,
+        pairs % ranks,
+        np.bincount(which[of], particles, len(pairs)),
+        np.bincount(which, filled, len(pairs)),
+    )
 
 
 def _each(bricks: Array, first: Array) -> tuple[Array, Array]:

@@ -117,8 +117,12 @@ class Plan:
         return tuple(rows.max(axis=0).tolist())
 
     def most(self, call: str, what: str) -> float:
-        """Return the most of messages, bytes or collectives by a call, over the ranks that were looked at."""
-        return max(getattr(of[call].traffic, what) for of in self.sent)
+        """Return the most of messages, bytes or collectives by a call, over the ranks that were looked at; for open walls over
+        all that were gone through for them."""
+        traffic = (
+            [one.traffic for one in self.walls] if call == "open walls" else [of[call].traffic for of in self.sent]
+        )
+        return max(getattr(of, what) for of in traffic)
 
     def neighbours(self) -> int:
         """Return the most ranks that one sends to in a cycle."""
@@ -136,7 +140,9 @@ class Plan:
 
     def leaving(self, call: str, ranks_per_node: int) -> float:
         """Return the most bytes that leave a node by a call, of the nodes that were looked at, as if they had so many ranks; of
-        all nodes for "migrate", and for what servers of particles and owners of cells send each other."""
+        all nodes for "announce", "migrate", and for what servers of particles and owners of cells send each other."""
+        if call == "announce":
+            return float(self.between.of_nodes(ranks_per_node, self.between.announced).max())
         if call == "migrate":
             bytes_ = sum(of[call].traffic.bytes for of in self.sent)
             each = bytes_ / max(float(self.between.sent[self.looked_at].sum()), 1.0)  # of a particle
@@ -276,10 +282,13 @@ class Planner:
             return looks[rank]
 
         nodes = []
-        if ranks > NODE:  # of the rank with the most bytes that leave its node in a cycle, and that with the most bytes
+        if (
+            ranks > NODE
+        ):  # of the rank with the most bytes that leave its node in a cycle, with the most bytes, and most leavers
             far = max(chosen, key=lambda rank: look(rank)["cycle"].leaving(rank, NODE)) // NODE
             most = int(np.bincount(np.arange(ranks) // NODE, cycles.bytes).argmax())
-            nodes = [range(node * NODE, min(node * NODE + NODE, ranks)) for node in sorted({far, most})]
+            left = int(between.of_nodes(NODE).argmax())
+            nodes = [range(node * NODE, min(node * NODE + NODE, ranks)) for node in sorted({far, most, left})]
         for rank in sorted({*chosen, *itertools.chain.from_iterable(nodes)}):
             look(rank)
         return Plan(

@@ -218,7 +218,14 @@ def _times(plans: Sequence[Plan], machine: Machine, cycles: float) -> Rows:
 def _choices(plans: Sequence[Plan], machine: Machine, cycles: float) -> Rows:
     """Return the step as it is, and with each choice switched off alone."""
     rows: Rows = [
-        ["ranks", "as it is", "particles where their cells are", "whole boxes", "open walls' work on every rank"]
+        [
+            "ranks",
+            "as it is",
+            "particles where their cells are",
+            "whole boxes",
+            "open walls' work on every rank",
+            "deposit after all particles have come",
+        ]
     ]
     for plan in plans:
         now = Amounts.of(plan, machine, cycles)
@@ -234,6 +241,7 @@ def _choices(plans: Sequence[Plan], machine: Machine, cycles: float) -> Rows:
                 interactions=now.interactions * plan.ranks,
                 near=now.near * plan.ranks,
             ),
+            replace(now, stayed=np.zeros(plan.ranks)),
         )
         rows.append(
             [f"{plan.ranks:,}", *(f"{1e3 * total(step_time(plan, machine, cycles, one)):.3g}" for one in without)]

@@ -37,7 +37,7 @@ from .sent import Sent
 
 DENSITY = 1e-9  # C/m³, everywhere: any will do, since no answer is looked at
 OF_NORM = 1  # collective calls of the norm of a residual
-CALLS = ("set-up", "deposit", "solve", "cycle", "gather", "migrate", "output", "open walls", "regrid")
+CALLS = ("set-up", "deposit", "solve", "cycle", "gather", "announce", "migrate", "output", "open walls", "regrid")
 
 
 class Counter:
@@ -126,7 +126,8 @@ def counts(
 
     "cycle" is one cycle of the solver with the residual after it, "solve" all else that a solve sends, without what finds the
     potential at open walls; "regrid" carries the potential over to the `other` mesh; "migrate" what follows a step without
-    forces, of `particles` of this rank. In "deposit" and "gather" is not what passes because of others' bricks: see `bricks`.
+    forces, of `particles` of this rank, and "announce" what says ahead of it how many come to which bricks. In "deposit" and
+    "gather" is not what passes because of others' bricks: see `bricks`.
     `work` is that of a cycle of this rank.
     """
     count, clouds = Counter(), scene.particles.clouds
@@ -149,8 +150,11 @@ def counts(
         compensate(efield, rho, clouds)
         gather(efield, here, clouds)
     moved = _moved(scene, particles, efield, clouds)
+    with count("announce"):
+        _native.Migration(mesh.particle_mesh, servers, *moved.with_own_weights().arrays, NONE, True)
     with count("migrate"):
         migrate_without(moved, mesh, NONE, servers)
+    count.sent["migrate"] = count.sent["migrate"] - count.sent["announce"]
     with count("output"):
         measure(here, moments(mesh.comm, here), none, rho, phi, efield, {})
     with count("regrid"):

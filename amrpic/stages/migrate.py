@@ -6,6 +6,7 @@ particles are shared. Who serves a particle follows from its brick, its id and w
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from mpi4py import MPI
 from .. import _native
 from ..errors import ParticleError
 from ..mesh.hierarchy import Hierarchy
-from ..parallel import raise_together
+from ..parallel import raise_together, together
 from ..particles.arrays import empty_columns, recycled
 from ..particles.particles import Particles, Sorting, emptied, joined, one_weight_and_most
 
@@ -46,11 +47,14 @@ def migrate_without(
     gone: np.ndarray,
     servers: np.ndarray | None = None,
     evenly: bool = False,
+    meanwhile: Callable[[Particles, _native.Migration], None] = lambda here, migration: None,
 ) -> tuple[Particles, np.ndarray, int]:
     """Return the same as `migrate` without the particles at some indices, int64 (m,) ascending; of the lost ones the indices,
     and how many of all ranks are lost or left out.
 
-    `evenly`: servers of unequal work are replaced. Collective.
+    `evenly`: servers of unequal work are replaced. `meanwhile` is called while messages pass, with this rank's particles, of
+    which those that stay are in their places, and the migration, which says of which others the values are not there yet. It
+    may not communicate; an exception in it on some ranks is raised on all, once the messages are there. Collective.
     """
     comm = hierarchy.comm
     if servers is None:
@@ -66,12 +70,25 @@ def migrate_without(
         most, _ = _most_and_uneven(comm, plan)
     _require_few(most)
     here = Particles.allocate(plan.arriving, particles.species, weight)
-    finite = plan.finish(*here.arrays)
-    bad, missing = comm.allreduce(np.array([not finite, len(plan.lost) + len(gone)], dtype=np.int64)).tolist()
+    finite = plan.start(*here.arrays)
+    sorting = Sorting(hierarchy, plan.starts, plan.remote(hierarchy.native), servers)
+    here = Particles(*here.arrays, here.species, sorting)
+    failure: Exception | None = None
+    try:
+        meanwhile(here, plan)
+    except Exception as caught:
+        failure = caught
+    finally:
+        plan.receive(*here.arrays)
+    found = np.array([not finite, failure is not None, len(plan.lost) + len(gone)], dtype=np.int64)
+    bad, failed, missing = comm.allreduce(found).tolist()
     if bad:
         _refuse_not_finite(particles, comm)
-    sorting = Sorting(hierarchy, plan.starts, plan.remote(hierarchy.native), servers)
-    return Particles(*here.arrays, here.species, sorting), plan.lost, missing
+    if failed:
+        with together(comm, ParticleError):
+            if failure is not None:
+                raise failure
+    return here, plan.lost, missing
 
 
 def arranged(parts: list[Particles], hierarchy: Hierarchy, servers: np.ndarray) -> Particles:

@@ -61,7 +61,9 @@ def count(particles: Particles, hierarchy: Hierarchy, chosen: np.ndarray | None 
     weight = np.broadcast_to(1.0, len(particles)) if chosen is None else chosen.astype(float)
     shape = _native.Shape.nearest_grid_point
     arrays = position, momentum, weight, id, sorting.starts
-    _native.deposit(hierarchy.particle_mesh, sorting.remote, shape, False, False, *arrays, 1.0, numbers.native)
+    _native.Deposition(
+        hierarchy.particle_mesh, sorting.remote, shape, False, False, *arrays, 1.0, numbers.native
+    ).finish()
     for level in range(hierarchy.levels):
         numbers.array(level)[:] = np.rint(numbers.array(level) * hierarchy.spacing(level).prod())
     return numbers

@@ -11,8 +11,8 @@
 namespace amrpic {
 
 /// What other ranks have for this one, in the order of ranks; `to` holds what this one has for others. Ranks that have
-/// nothing for each other do not meet, as in `Communicator::announced`, and the lists themselves are the announcement.
-/// Collective.
+/// nothing for each other do not meet (T. Hoefler et al., "Scalable communication protocols for dynamic sparse data
+/// exchange", PPoPP 2010). Collective.
 std::vector<std::pair<int, std::vector<std::int64_t>>> brought(Communicator const& comm,
                                                                std::map<int, std::vector<std::int64_t>> const& to);
 

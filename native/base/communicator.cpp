@@ -235,9 +235,12 @@ void Messages::post(Communicator const& comm, void* values, std::size_t count, s
 }
 
 void Messages::poll() {
-  int done;
-  for (auto* requests : {&receiving_, &sending_})
+  for (auto* requests : {&receiving_, &sending_}) {
+    if (requests->empty()) continue;
+    int done;
     MPI_Testall(int(requests->size()), requests->data(), &done, MPI_STATUSES_IGNORE);
+    if (done) requests->clear();
+  }
 }
 
 void Messages::wait(std::vector<MPI_Request>& requests) {

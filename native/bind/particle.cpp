@@ -58,19 +58,33 @@ Clouds clouds_of(Shape shape, bool matched, bool by_kokkos) {
   return {shape, matched, by_kokkos ? &kokkos::tile_kernels() : nullptr};
 }
 
-/// A migration with the arrays that it reads until it is finished.
-struct BoundMigration : Migration {
-  struct Arrays {
-    ConstColumns position, momentum;
-    OnePerParticle weight;
-    Row<std::int64_t const> id;
-  };
-  BoundMigration(ParticleMesh& mesh, Servers servers, Arrays given, ParticleList const& gone, bool has_weights)
-      : Migration(mesh, std::move(servers), view(given.position, given.momentum, given.weight, given.id), gone,
-                  has_weights),
-        arrays(std::move(given)) {}
+/// Particles as Python gives them to what keeps them for a while.
+struct GivenParticles {
+  ConstColumns position, momentum;
+  OnePerParticle weight;
+  Row<std::int64_t const> id;
 
-  std::optional<Arrays> arrays;
+  ParticleView all() const { return view(position, momentum, weight, id); }
+};
+
+/// A migration with the arrays that it reads until it has started.
+struct BoundMigration : Migration {
+  BoundMigration(ParticleMesh& mesh, Servers servers, GivenParticles given, ParticleList const& gone, bool has_weights)
+      : Migration(mesh, std::move(servers), given.all(), gone, has_weights), arrays(std::move(given)) {}
+
+  std::optional<GivenParticles> arrays;
+};
+
+/// A deposition with the arrays that it reads.
+struct BoundDeposition : Deposition {
+  BoundDeposition(ParticleMesh& mesh, RemoteBricks const& remote, Clouds const& clouds, GivenParticles given,
+                  Row<std::int64_t const> slot_starts, Real charge, Field& density)
+      : Deposition(mesh, remote, clouds, given.all(), slot_starts.data(), charge, density),
+        particles(std::move(given)),
+        starts(std::move(slot_starts)) {}
+
+  GivenParticles particles;
+  Row<std::int64_t const> starts;
 };
 
 Flights flights(ConstColumns const& start, ConstColumns const& end, Real3 const& start_offset,
@@ -180,15 +194,22 @@ void bind_particle(nb::module_& m) {
       .def_prop_ro("from_others", &Migration::from_others)
       .def_prop_ro("bricks", &Migration::bricks)
       .def(
-          "finish",
+          "start",
           [](BoundMigration& self, Columns position, Columns momentum, OnePerParticle weight, Row<std::int64_t> id) {
             bool finite;
             {
               nb::gil_scoped_release release;
-              finite = self.finish(view(position, momentum, weight, id));
+              finite = self.start(view(position, momentum, weight, id));
             }
             self.arrays.reset();
             return finite;
+          },
+          "position"_a, "momentum"_a, "weight"_a, "id"_a)
+      .def(
+          "receive",
+          [](BoundMigration& self, Columns position, Columns momentum, OnePerParticle weight, Row<std::int64_t> id) {
+            nb::gil_scoped_release release;
+            self.receive(view(position, momentum, weight, id));
           },
           "position"_a, "momentum"_a, "weight"_a, "id"_a)
       .def(
@@ -204,7 +225,7 @@ void bind_particle(nb::module_& m) {
             }
             self.carry(old, fresh);
           },
-          "columns"_a, "out"_a, "After `finish`: further columns, (columns, n), of the same particles. Collective.")
+          "columns"_a, "out"_a, "After `receive`: further columns, (columns, n), of the same particles. Collective.")
       .def_prop_ro(
           "starts", [](BoundMigration const& self) { return bind::to_array(self.starts()); }, nb::rv_policy::automatic)
       .def(
@@ -283,17 +304,27 @@ void bind_particle(nb::module_& m) {
       .value("cloud_in_cell", Shape::cloud_in_cell)
       .value("triangular", Shape::triangular);
 
-  m.def(
-      "deposit",
-      [](ParticleMesh& mesh, RemoteBricks const& remote, Shape shape, bool matched, bool kokkos, ConstColumns position,
-         ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id, Row<std::int64_t const> starts,
-         Real charge, Field& density) {
-        nb::gil_scoped_release release;
-        deposit(mesh, remote, clouds_of(shape, matched, kokkos), view(position, momentum, weight, id), starts.data(),
-                charge, density);
-      },
-      "mesh"_a, "remote"_a, "shape"_a, "matched"_a, "kokkos"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a,
-      "starts"_a, "charge"_a, "density"_a);
+  nb::class_<BoundDeposition>(m, "Deposition")
+      .def(
+          "__init__",
+          [](BoundDeposition* self, ParticleMesh& mesh, RemoteBricks const& remote, Shape shape, bool matched,
+             bool kokkos, ConstColumns position, ConstColumns momentum, OnePerParticle weight,
+             Row<std::int64_t const> id, Row<std::int64_t const> starts, Real charge, Field& density) {
+            nb::gil_scoped_release release;
+            new (self) BoundDeposition(mesh, remote, clouds_of(shape, matched, kokkos),
+                                       {position, momentum, weight, id}, starts, charge, density);
+          },
+          "mesh"_a, "remote"_a, "shape"_a, "matched"_a, "kokkos"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a,
+          "starts"_a, "charge"_a, "density"_a, nb::keep_alive<1, 2>(), nb::keep_alive<1, 3>(), nb::keep_alive<1, 13>())
+      .def(
+          "begin",
+          [](BoundDeposition& self, BoundMigration& migration) {
+            nb::gil_scoped_release release;
+            self.begin(migration.under_way(), [&] { migration.poll(); });
+          },
+          "migration"_a, "Those that are in their places while others are under way.")
+      .def("finish", &BoundDeposition::finish, nb::call_guard<nb::gil_scoped_release>(), "Collective.")
+      .def_prop_ro("left", &BoundDeposition::left, "How many particles of this rank `finish` is to deposit.");
 
   m.def(
       "gather",

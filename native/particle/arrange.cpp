@@ -15,7 +15,7 @@ Arrangement arrange(ParticleMesh& mesh, Servers const& servers, ParticleView con
   bool const all_stay = std::all_of(leavers.begin(), leavers.end(), [](auto const& some) { return some.empty(); });
   if (!destinations.finite || !destinations.lost.empty() || !all_stay)
     throw std::invalid_argument("particles that are to be arranged must be with their servers");
-  Places sorted = sort(mesh, destinations, PackedParticles(std::vector<std::int64_t>(leavers.size(), 0)));
+  Places sorted = sort(mesh, destinations, {});
 
   Arrangement out{
       std::vector<LocalIndex>(std::size_t(particles.count)), std::move(sorted.slots), std::move(sorted.remote), {}};

@@ -248,7 +248,7 @@ void Classifier::look_up(LocalIndex n) {
   latest_ = mesh_.locator().find(x, latest_);
   int const server = alone() ? 0 : server_of(latest_, n);
   if (server != mesh_.hierarchy().comm().rank()) {
-    out_.leavers[std::size_t(server)].push_back({n, latest_});
+    out_.leavers[std::size_t(server)].push_back({n, latest_, x != before});
     return;
   }
   LocalBrick const at = local(latest_);

@@ -44,12 +44,13 @@ struct Destinations {
   struct Leaver {
     LocalIndex place;
     Home home;
+    bool wrapped;  ///< whether it came through a periodic face
   };
 
   explicit Destinations(ParticleMesh const& mesh) : bricks(mesh) {}
 
   BrickNumbers bricks;
-  // all in the order of the particles' places
+  // all in the order of the particles' places, but for what `pack` makes of leavers
   std::vector<Run> runs;
   Scratch<std::uint8_t> stays;               ///< for each eight particles, a bit for each that stayed
   std::vector<Mover> movers;                 ///< without those that came through a periodic face

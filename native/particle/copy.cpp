@@ -85,20 +85,10 @@ bool copy_moved(std::vector<Column> const& columns, Move const* first, Move cons
   return zero == 0;
 }
 
-void copy_arrivals(PackedParticles const& arrivals, Places const& places, ParticleView const& out) {
-  for (std::int64_t n = 0; n < arrivals.count(); ++n) {
-    LocalIndex const place = places.arrivals[std::size_t(n)];
-    for (int d = 0; d < 3; ++d)
-      out.position[d][place] = arrivals.position(n, d), out.momentum[d][place] = arrivals.momentum(n, d);
-    if (!out.equal_weights && arrivals.has_weights()) out.weight[place] = arrivals.weight(n);
-    out.id[place] = arrivals.id(n);
-  }
-}
-
 }  // namespace
 
 bool copy(ParticleMesh const& mesh, ParticleView const& particles, Destinations const& destinations,
-          PackedParticles const& arrivals, Places const& places, ParticleView const& out) {
+          Places const& places, ParticleView const& out) {
   std::vector<Column> const columns = columns_of(particles, out);
   std::uint8_t const* const stays = destinations.stays.data();
   LocalIndex const count = LocalIndex(particles.count);
@@ -137,13 +127,13 @@ bool copy(ParticleMesh const& mesh, ParticleView const& particles, Destinations 
     mesh.locator().wrap(x);
     for (int d = 0; d < 3; ++d) out.position[d][m.to] = x[d];
   }
-  copy_arrivals(arrivals, places, out);
   stream_end();
   return finite;
 }
 
 void copy_columns(std::vector<Real const*> const& from, std::vector<Real*> const& to, std::int64_t count,
-                  Destinations const& destinations, Places const& places, std::vector<Real> const& arrived) {
+                  Destinations const& destinations, Places const& places, std::vector<Portion> const& arrivals,
+                  std::vector<Real> const& arrived) {
   std::size_t const width = from.size();
   for (std::size_t c = 0; c < width; ++c) {
     bool const far = are_far(count, to[c]);
@@ -154,7 +144,9 @@ void copy_columns(std::vector<Real const*> const& from, std::vector<Real*> const
     }
     for (auto const* moves : {&places.movers, &places.wrapped})
       for (auto const& [old, place] : *moves) to[c][place] = from[c][old];
-    for (std::size_t n = 0; n < places.arrivals.size(); ++n) to[c][places.arrivals[n]] = arrived[n * width + c];
+    Real const* in = arrived.data() + c;
+    for (std::size_t n = 0; n < arrivals.size(); ++n)
+      for (std::int64_t i = 0; i < arrivals[n].count; ++i, in += width) to[c][places.arrivals[n] + i] = *in;
   }
   stream_end();
 }

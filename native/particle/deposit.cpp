@@ -113,8 +113,8 @@ void add_clouds(TileFrame const& frame, ParticleView const& particles, Chosen co
   frame.require_inside(all_in, particles, chosen);
 }
 
-/// Moves the tiles of one box's slabs into the density. It sets the box's cells; ghost cells it collects, and adds them
-/// to the density when all boxes are set.
+/// Moves the tiles of one box's slabs into the density. It sets the box's cells, or adds to them if they are set; ghost
+/// cells it collects, and adds them to the density when all boxes are set.
 class BoxSums {
  public:
   /// `ghosts` has room for the sums of the ghost cells.
@@ -129,16 +129,14 @@ class BoxSums {
         own_(cells.own + level.local_offset(at.box)),
         ghost_sums_(ghosts) {}
 
-  /// Take planes [first, last] out of the tile; each plane once.
-  void take(int first, int last, ChargeTile& tile) const {
-    for (int k = first; k <= last; ++k) {
-      if (k >= box_.lower[2] && k <= box_.upper[2]) take_interior(k, tile);
-      Real* out = ghost_sums_ + ghost_cells_below(box_, k);
-      for_each_ghost_row(box_, k, [&](int from, int to, int j) {
-        tile.take(from, j, k, to - from + 1, [&](int n, auto const& sums) { store(out + n, sums); });
-        out += to - from + 1;
-      });
-    }
+  /// Take planes [first, last] out of the tile; each plane once for all of them. `adds`: to what is set.
+  void take(int first, int last, ChargeTile& tile, bool adds) const {
+    adds ? take<true>(first, last, tile) : take<false>(first, last, tile);
+  }
+  /// Set all to zero.
+  void clear() const {
+    std::fill_n(own_, box_.cells(), Real(0));
+    std::fill_n(ghost_sums_, at_.ghosts.cells(), Real(0));
   }
 
   /// Add the ghost cells to the cells that they stand for.
@@ -153,14 +151,32 @@ class BoxSums {
   }
 
  private:
+  template <bool adds>
+  void take(int first, int last, ChargeTile& tile) const {
+    for (int k = first; k <= last; ++k) {
+      if (k >= box_.lower[2] && k <= box_.upper[2]) take_interior<adds>(k, tile);
+      Real* out = ghost_sums_ + ghost_cells_below(box_, k);
+      for_each_ghost_row(box_, k, [&](int from, int to, int j) {
+        tile.take(from, j, k, to - from + 1, [&](int n, auto const& sums) { put<adds>(sums, out + n); });
+        out += to - from + 1;
+      });
+    }
+  }
+
+  template <bool adds>
   void take_interior(int k, ChargeTile& tile) const {
     for (int j = box_.lower[1]; j <= box_.upper[1]; ++j) {
       Real* const out = own_ + box_.offset({box_.lower[0], j, k});
       tile.take(box_.lower[0], j, k, box_.extent(0), [&](int n, auto const& sums) {
         fetch<Use::write>(out + n + page<Real>, 1);
-        store(out + n, per_cell_ * sums);
+        put<adds>(per_cell_ * sums, out + n);
       });
     }
+  }
+
+  template <bool adds, class T>
+  static void put(T const& values, Real* out) {
+    store(out, adds ? load<T>(out) + values : values);
   }
 
   void add(GhostRun const& run, Real const* sums, Real* out) const {
@@ -262,93 +278,248 @@ class RemoteCharge {
   std::vector<Real> values_;
 };
 
+/// Particles of a box from which on their charge is moved into the density twice, once for those that arrive later: it
+/// takes little beside theirs.
+constexpr int per_cell_to_begin = 4;
+
 }  // namespace
 
-void deposit(ParticleMesh& mesh, RemoteBricks const& remote, Clouds const& clouds, ParticleView const& particles,
-             std::int64_t const* starts, Real charge, Field& density) {
-  Hierarchy const& hierarchy = mesh.hierarchy();
-  BufferZone const* const zone = clouds.matched ? &mesh.buffer_zone() : nullptr;
-  RemotePlan& remote_plan = remote.own_plan(clouds.matched);
-  std::vector<ChargeAcrossRanks> own, coarse;
-  for (int l = 0; l < hierarchy.level_count(); ++l) {
-    own.emplace_back(mesh.halo(l), density.level(l));
-    if (zone) coarse.emplace_back(zone->halo(l), density.level(l));
+/// The charge of particles on its way to the density, slot by slot.
+class Deposition::Sums {
+ public:
+  Sums(ParticleMesh& mesh, RemoteBricks const& remote, Clouds const& clouds, ParticleView const& particles,
+       std::int64_t const* starts, Real charge, Field& density)
+      : mesh_(mesh),
+        hierarchy_(mesh.hierarchy()),
+        zone_(clouds.matched ? &mesh.buffer_zone() : nullptr),
+        clouds_(clouds),
+        particles_(particles),
+        starts_(starts),
+        charge_(charge),
+        density_(density),
+        remote_plan_(remote.own_plan(clouds.matched)),
+        boxes_(mesh.boxes().size()),
+        slots_(boxes_ + remote.bricks().size()),
+        waiting_(slots_, Part::all),
+        is_set_(boxes_, false),
+        ghost_sums_(clear_empty_boxes(mesh, starts, density)),
+        tiles_(std::size_t(hierarchy_.level_count())),
+        remote_charge_(hierarchy_, remote_plan_, charge) {
+    for (int l = 0; l < hierarchy_.level_count(); ++l) {
+      own_.emplace_back(mesh.halo(l), density.level(l));
+      if (zone_) coarse_.emplace_back(zone_->halo(l), density.level(l));
+    }
+    Real* ghosts = ghost_sums_.data();
+    for (std::size_t slot = 0; slot < boxes_; ++slot) {
+      BoxGhosts const& at = mesh.boxes()[slot];
+      box_sums_.emplace_back(hierarchy_.level(at.level), at, charge, own_[std::size_t(at.level)].cells(),
+                             own_[std::size_t(std::max(0, at.level - 1))].cells(), ghosts);
+      if (is_occupied(slot)) ghosts += at.ghosts.cells();
+    }
+    if (clouds.kernels)
+      batch_.emplace(mesh, *clouds.kernels, particles, [this](TileKernels const& kernels, auto const& on) {
+        return kernels.deposit(clouds_.shape, particles_, on);
+      });
   }
 
-  Scratch<Real> const ghost_sums(clear_empty_boxes(mesh, starts, density));
-  Real* ghosts = ghost_sums.data();
-  std::vector<BoxSums> box_sums;
-  std::vector<ChargeTile> reused(std::size_t(hierarchy.level_count()));  // by how much coarser than their box
-  std::optional<TileBatch<ChargeTile, 1>> batch;
-  if (clouds.kernels)
-    batch.emplace(mesh, *clouds.kernels, particles, [&](TileKernels const& kernels, auto const& on) {
-      return kernels.deposit(clouds.shape, particles, on);
-    });
-  auto const add_slab = [&](int level, Box const& slab, BoxBuffer const* buffer, std::int64_t from, std::int64_t to) {
-    for_each_coarsening_depth(
-        mesh, level, slab, buffer, particles, from, to, [&](int depth, TileFrame const& frame, Chosen const& chosen) {
-          with_shape(clouds.shape, [&](auto s) { add_clouds<decltype(s)>(frame, particles, chosen, reused[depth]); });
+  void begin(std::vector<PlaceRange> const& under_way, std::function<void()> const& poll) {
+    if (batch_) return;
+    poll_ = poll;
+    mark(under_way);
+    try {
+      for (std::size_t slot = 0; slot < slots_; ++slot) {
+        std::int64_t const arriving = arriving_in_[slot], here = in_slot(slot) - arriving;
+        bool const pays = here >= per_cell_to_begin * cells_of_slot(slot).cells();
+        if (here > 0 && arriving == 0) add(slot, Part::all, Part::none);
+        if (arriving > 0 && pays) add(slot, Part::here, Part::arriving);
+        if (arriving > 0 && !pays && zone_) clear(slot);
+      }
+    } catch (Stray const& stray) {
+      stray_ = stray;
+    }
+    poll_ = nullptr;
+  }
+
+  std::int64_t left() const {
+    std::int64_t out = 0;
+    for (std::size_t slot = 0; slot < slots_; ++slot) {
+      if (waiting_[slot] == Part::all) out += in_slot(slot);
+      if (waiting_[slot] == Part::arriving) out += arriving_in_[slot];
+    }
+    return out;
+  }
+
+  void finish() {
+    auto const add_waiting = [&](std::size_t slot) {
+      if (waiting_[slot] != Part::none) add(slot, waiting_[slot], Part::none);
+    };
+    for_each_occupied(
+        mesh_, slots_ - boxes_, starts_, [&](std::size_t slot, auto, auto) { add_waiting(slot); },
+        [&](std::size_t brick, auto, auto) { add_waiting(boxes_ + brick); },
+        [&] {
+          if (batch_) batch_->run();
+          if (stray_) throw *stray_;
         });
-  };
-  auto const add_box = [&](std::size_t slot, std::int64_t first, std::int64_t last) {
-    BoxGhosts const& at = mesh.boxes()[slot];
-    BoxBuffer const* const buffer = zone ? zone->box(slot) : nullptr;
-    Level const& level = hierarchy.level(at.level);
-    Box const& box = level.box(at.box);
+    for (std::size_t slot = 0; slot < boxes_; ++slot)
+      if (is_occupied(slot)) box_sums_[slot].add_ghosts();
+    for (std::size_t slot = boxes_; slot < slots_; ++slot)
+      if (is_occupied(slot)) remote_charge_.settle(slot - boxes_);
+    for (ChargeAcrossRanks const& level : own_) level.send();
+    for (ChargeAcrossRanks const& level : coarse_) level.send();
+    remote_charge_.add_to(density_);
+
+    mesh_.transfer().spread(density_);
+    mesh_.transfer().average_down({&density_});
+  }
+
+ private:
+  /// Particles of a slot.
+  enum class Part : char { none, here, arriving, all };
+
+  std::int64_t in_slot(std::size_t slot) const { return starts_[slot + 1] - starts_[slot]; }
+  bool is_occupied(std::size_t slot) const { return in_slot(slot) > 0; }
+  bool is_box(std::size_t slot) const { return slot < boxes_; }
+  int level_of(std::size_t slot) const { return is_box(slot) ? mesh_.boxes()[slot].level : brick(slot).home.level; }
+  BrickWindows const& brick(std::size_t slot) const { return remote_plan_.bricks()[slot - boxes_]; }
+  Box cells_of_slot(std::size_t slot) const {
+    return is_box(slot) ? hierarchy_.level(level_of(slot)).box(mesh_.boxes()[slot].box) : brick(slot).cells;
+  }
+  BoxBuffer const* buffer_of(std::size_t slot) const {
+    if (is_box(slot)) return zone_ ? zone_->box(slot) : nullptr;
+    return brick(slot).buffer.coarse.empty() ? nullptr : &brick(slot).buffer;
+  }
+
+  /// Note which are under way.
+  void mark(std::vector<PlaceRange> const& under_way) {
+    arriving_in_.assign(slots_, 0);
+    arriving_.assign(std::size_t(particles_.count / block_size + 1), 0);
+    for (auto const& [first, last] : under_way) {
+      arriving_in_[std::size_t(std::upper_bound(starts_, starts_ + slots_, first) - starts_) - 1] += last - first;
+      for (std::int64_t n = first; n < last; ++n)
+        arriving_[std::size_t(n / block_size)] |= std::uint64_t(1) << (n % block_size);
+    }
+  }
+
+  /// Let finer boxes add the coarse clouds of their particles to a box that waits.
+  void clear(std::size_t slot) {
+    if (!is_box(slot)) return;
+    box_sums_[slot].clear();
+    is_set_[slot] = true;
+  }
+
+  /// Deposit a part of a slot's particles, after which another one waits.
+  void add(std::size_t slot, Part part, Part then) {
+    waiting_[slot] = then;
+    bits_ = {part == Part::all ? nullptr : arriving_.data(), part == Part::here};
+    BoxBuffer const* const buffer = buffer_of(slot);
     std::size_t const depths = buffer ? buffer->coarse.size() : 0;
-    std::vector<ChargeTile>& tiles = batch ? batch->next() : reused;
+    std::vector<ChargeTile>& tiles = batch_ ? batch_->next() : tiles_;
     for (std::size_t r = 1; r <= depths; ++r) tiles[r].reset(buffer->coarse[r - 1].box);
-    BoxSums const sums(level, at, charge, own[at.level].cells(), own[std::max(0, at.level - 1)].cells(), ghosts);
-    box_sums.push_back(sums);
-    ghosts += at.ghosts.cells();
-    auto const take_coarse = [=, &coarse, &tiles, &hierarchy] {
-      for (std::size_t r = 1; r <= depths; ++r) {
+    is_box(slot) ? add_box(slot, buffer, tiles) : add_remote(slot, buffer, tiles);
+  }
+
+  void add_box(std::size_t slot, BoxBuffer const* buffer, std::vector<ChargeTile>& tiles) {
+    int const level = level_of(slot);
+    Box const box = cells_of_slot(slot);
+    BoxSums const& sums = box_sums_[slot];
+    bool const adds = std::exchange(is_set_[slot], true);
+    auto const take_coarse = [=, &tiles] {
+      for (std::size_t r = 1; buffer && r <= buffer->coarse.size(); ++r) {
         CoarseCells const& c = buffer->coarse[r - 1];
-        add_coarse_tile(tiles[r], c, charge / hierarchy.level(c.level).cell_volume(), coarse[c.level].cells());
+        add_coarse_tile(tiles[r], c, charge_ / hierarchy_.level(c.level).cell_volume(),
+                        coarse_[std::size_t(c.level)].cells());
       }
     };
-    if (batch) {
+    if (batch_) {
       tiles[0].reset(box);
-      return batch->add(at.level, box, buffer, first, last, [=, &tiles] {
-        sums.take(box.lower[2] - tile_reach, box.upper[2] + tile_reach, tiles[0]);
+      return batch_->add(level, box, buffer, starts_[slot], starts_[slot + 1], [=, &sums, &tiles] {
+        sums.take(box.lower[2] - tile_reach, box.upper[2] + tile_reach, tiles[0], adds);
         take_coarse();
       });
     }
-    for_each_slab(mesh, at.level, box, planes_per_slab(box, 1), particles, first, last,
-                  [&](Box const& slab, auto from, auto to) {
-                    slab.lower[2] == box.lower[2] ? tiles[0].reset(slab) : tiles[0].follow(slab);
-                    add_slab(at.level, slab, buffer, from, to);
-                    bool const more = slab.upper[2] < box.upper[2];  // then the last planes are those of the next too
-                    sums.take(slab.lower[2] - tile_reach, slab.upper[2] + (more ? -tile_reach : tile_reach), tiles[0]);
-                  });
+    for_each_slab(
+        mesh_, level, box, planes_per_slab(box, 1), particles_, starts_[slot], starts_[slot + 1],
+        [&](Box const& slab, auto from, auto to) {
+          slab.lower[2] == box.lower[2] ? tiles[0].reset(slab) : tiles[0].follow(slab);
+          add_slab(level, slab, buffer, from, to);
+          bool const follows = slab.upper[2] < box.upper[2];  // then the last planes are those of the next too
+          sums.take(slab.lower[2] - tile_reach, slab.upper[2] + (follows ? -tile_reach : tile_reach), tiles[0], adds);
+        });
     take_coarse();
-  };
-  RemoteCharge remote_charge(hierarchy, remote_plan, charge);
-  auto const add_remote = [&](std::size_t n, std::int64_t first, std::int64_t last) {
-    BrickWindows const& brick = remote_plan.bricks()[n];
-    std::size_t const depths = brick.buffer.coarse.size();
-    BoxBuffer const* const buffer = depths == 0 ? nullptr : &brick.buffer;
-    std::vector<ChargeTile>& tiles = batch ? batch->next() : reused;
-    tiles[0].reset(brick.cells);
-    for (std::size_t r = 1; r <= depths; ++r) tiles[r].reset(brick.buffer.coarse[r - 1].box);
-    auto const take = [=, &remote_charge, &tiles] {
-      for (std::size_t r = 0; r <= depths; ++r) remote_charge.take(n, r, tiles[r]);
-      remote_charge.settle(n);
-    };
-    if (batch) return batch->add(brick.home.level, brick.cells, buffer, first, last, take);
-    add_slab(brick.home.level, brick.cells, buffer, first, last);
-    take();
-  };
-  for_each_occupied(mesh, remote.bricks().size(), starts, add_box, add_remote, [&] {
-    if (batch) batch->run();
-  });
-  for (BoxSums const& sums : box_sums) sums.add_ghosts();
-  for (ChargeAcrossRanks const& level : own) level.send();
-  for (ChargeAcrossRanks const& level : coarse) level.send();
-  remote_charge.add_to(density);
+  }
 
-  mesh.transfer().spread(density);
-  mesh.transfer().average_down({&density});
+  void add_remote(std::size_t slot, BoxBuffer const* buffer, std::vector<ChargeTile>& tiles) {
+    std::size_t const number = slot - boxes_, depths = buffer ? buffer->coarse.size() : 0;
+    Box const cells = cells_of_slot(slot);
+    tiles[0].reset(cells);
+    auto const take = [=, &tiles] {
+      for (std::size_t r = 0; r <= depths; ++r) remote_charge_.take(number, r, tiles[r]);
+    };
+    if (batch_) return batch_->add(level_of(slot), cells, buffer, starts_[slot], starts_[slot + 1], take);
+    add_slab(level_of(slot), cells, buffer, starts_[slot], starts_[slot + 1]);
+    take();
+  }
+
+  void add_slab(int level, Box const& slab, BoxBuffer const* buffer, std::int64_t first, std::int64_t last) {
+    for (std::int64_t from = first; from < last;) {
+      std::int64_t const to = poll_ ? std::min(last, (from / between_polls + 1) * between_polls) : last;
+      for_each_coarsening_depth(
+          mesh_, level, slab, buffer, particles_, from, to, [&](int depth, TileFrame const& frame, Chosen chosen) {
+            chosen.bits = bits_;
+            with_shape(clouds_.shape,
+                       [&](auto s) { add_clouds<decltype(s)>(frame, particles_, chosen, tiles_[std::size_t(depth)]); });
+          });
+      count_work(to - from);
+      from = to;
+    }
+  }
+
+  void count_work(std::int64_t particles) {
+    since_poll_ += particles;
+    if (poll_ && since_poll_ >= between_polls) poll_(), since_poll_ = 0;
+  }
+
+  static constexpr std::int64_t between_polls = 1 << 14;  ///< particles; about 0.1 ms
+  static constexpr std::int64_t cells_as_particle = 8;    ///< that are moved into the density in the same time
+
+  ParticleMesh& mesh_;
+  Hierarchy const& hierarchy_;
+  BufferZone const* zone_;
+  Clouds clouds_;
+  ParticleView particles_;
+  std::int64_t const* starts_;
+  Real charge_;
+  Field& density_;
+  RemotePlan& remote_plan_;
+  std::size_t boxes_, slots_;
+  std::vector<Part> waiting_;              ///< particles of each slot
+  std::vector<char> is_set_;               ///< whether the cells of each box hold charge, or zero
+  std::vector<std::uint64_t> arriving_;    ///< bits
+  std::vector<std::int64_t> arriving_in_;  ///< each slot
+  ParticleBits bits_;                      ///< of those that are added
+  std::function<void()> poll_;
+  std::int64_t since_poll_ = 0;  ///< particles, or what takes as long
+  std::optional<Stray> stray_;
+  std::vector<ChargeAcrossRanks> own_, coarse_;
+  Scratch<Real> ghost_sums_;
+  std::vector<BoxSums> box_sums_;  ///< by slot
+  std::vector<ChargeTile> tiles_;  ///< by how much coarser than their box
+  std::optional<TileBatch<ChargeTile, 1>> batch_;
+  RemoteCharge remote_charge_;
+};
+
+Deposition::Deposition(ParticleMesh& mesh, RemoteBricks const& remote, Clouds const& clouds,
+                       ParticleView const& particles, std::int64_t const* starts, Real charge, Field& density)
+    : sums_(std::make_unique<Sums>(mesh, remote, clouds, particles, starts, charge, density)) {}
+
+Deposition::~Deposition() = default;
+
+void Deposition::begin(std::vector<PlaceRange> const& under_way, std::function<void()> const& poll) {
+  sums_->begin(under_way, poll);
 }
+
+void Deposition::finish() { sums_->finish(); }
+
+std::int64_t Deposition::left() const { return sums_->left(); }
 
 }  // namespace amrpic

@@ -1,83 +1,99 @@
 #include "particle/packed_particles.hpp"
 
+#include <unordered_map>
 #include <utility>
 
+#include "base/brought.hpp"
 #include "particle/bit_columns.hpp"
 #include "particle/home_word.hpp"
 
 namespace amrpic {
 
-void PackedParticles::set(std::int64_t n, Real3 const& position, Real3 const& momentum, Real weight, std::int64_t id,
-                          Home const& home, bool wrapped) {
-  std::int64_t* const to = words_.data() + std::size_t(n) * width_;
-  std::memcpy(to, position.data(), sizeof position);
-  std::memcpy(to + 3, momentum.data(), sizeof momentum);
-  to[6] = id;
-  to[7] = std::int64_t(word_of(home) << 1 | std::uint64_t(wrapped));
-  if (has_weights()) std::memcpy(to + 8, &weight, sizeof weight);
-}
-
-Home PackedParticles::home(std::int64_t n) const { return home_of(std::uint64_t(at(n)[7]) >> 1); }
-
 namespace {
 
+using Leavers = std::vector<Destinations::Leaver>;
+
 /// Where the numbers of a particle lie in a row; the weight, if any, comes last.
-enum Column : std::size_t { position = 0, momentum = 3, id = 6, level, box, brick, wrapped, weight };
+enum Column : std::size_t { position = 0, momentum = 3, id = 6, weight };
+
+std::uint64_t word_of(Destinations::Leaver const& of) {
+  return amrpic::word_of(of.home) << 1 | std::uint64_t(of.wrapped);
+}
+
+/// Put those of a brick side by side, in their order. Return a word and a number for each portion.
+std::vector<std::int64_t> put_into_portions(Leavers& leavers) {
+  std::vector<std::int64_t> out;
+  std::vector<std::size_t> portion_of;  // of each leaver
+  std::unordered_map<std::uint64_t, std::size_t> portions;
+  portion_of.reserve(leavers.size());
+  for (auto const& leaver : leavers) {
+    auto const [at, is_new] = portions.try_emplace(word_of(leaver), portions.size());
+    if (is_new) out.insert(out.end(), {std::int64_t(at->first), 0});
+    ++out[2 * at->second + 1];
+    portion_of.push_back(at->second);
+  }
+  std::vector<std::size_t> next(portions.size(), 0);
+  for (std::size_t n = 1; n < next.size(); ++n) next[n] = next[n - 1] + std::size_t(out[2 * n - 1]);
+  Leavers sorted(leavers.size());
+  for (std::size_t n = 0; n < leavers.size(); ++n) sorted[next[portion_of[n]]++] = leavers[n];
+  leavers = std::move(sorted);
+  return out;
+}
 
 template <std::size_t columns>
-typename BitColumns<columns>::Row row_of(Real3 const& x, ParticleView const& particles, LocalIndex n, Home const& home,
-                                         bool is_wrapped) {
+typename BitColumns<columns>::Row row_of(Real3 const& x, ParticleView const& particles, LocalIndex n) {
   typename BitColumns<columns>::Row out;
   Real3 const p = particles.momentum_at(n);
   for (std::size_t d = 0; d < 3; ++d) out[position + d] = ordered_bits(x[d]), out[momentum + d] = ordered_bits(p[d]);
   out[id] = std::uint64_t(particles.id[n]);
-  out[level] = std::uint64_t(home.level);
-  out[box] = std::uint64_t(home.box);
-  out[brick] = std::uint64_t(home.brick);
-  out[wrapped] = std::uint64_t(is_wrapped);
   if constexpr (columns > weight) out[weight] = ordered_bits(particles.weight_of(n));
   return out;
 }
 
 template <std::size_t columns>
-void pack_rows(ParticleMesh const& mesh, ParticleView const& particles,
-               std::vector<std::vector<Destinations::Leaver>> const& leavers, LeavingParticles& out) {
+void pack_rows(ParticleMesh const& mesh, ParticleView const& particles, std::vector<Leavers>& leavers,
+               LeavingParticles& out) {
   std::vector<typename BitColumns<columns>::Row> rows;
   for (std::size_t rank = 0; rank < leavers.size(); ++rank) {
     if (leavers[rank].empty()) continue;
+    auto& announced = out.announced[int(rank)] = put_into_portions(leavers[rank]);
     rows.clear();
     rows.reserve(leavers[rank].size());
-    for (auto const& [n, home] : leavers[rank]) {
-      Real3 const before = particles.at(n);
-      Real3 x = before;
-      mesh.locator().wrap(x);
-      out.finite = out.finite && is_finite(particles.momentum_at(n));
-      rows.push_back(row_of<columns>(x, particles, n, home, x != before));
+    for (auto const& leaver : leavers[rank]) {
+      Real3 x = particles.at(leaver.place);
+      if (leaver.wrapped) mesh.locator().wrap(x);
+      out.finite = out.finite && is_finite(particles.momentum_at(leaver.place));
+      rows.push_back(row_of<columns>(x, particles, leaver.place));
     }
-    out.words[int(rank)] = BitColumns<columns>::packed(rows);
+    auto const& words = out.words[int(rank)] = BitColumns<columns>::packed(rows);
+    announced.insert(announced.begin(), std::int64_t(words.size()));
   }
 }
 
 /// Take particles out of the words of all ranks, one after the other.
 template <std::size_t columns>
-void unpack_rows(std::vector<std::int64_t> const& words, PackedParticles& out) {
+void unpack_rows(std::vector<std::int64_t> const& words, Arrivals const& arrivals,
+                 std::vector<LocalIndex> const& places, ParticleView const& out) {
   std::int64_t const* at = words.data();
-  std::int64_t n = 0;
-  for (std::size_t rank = 0; rank + 1 < out.starts.size(); ++rank)
-    at = BitColumns<columns>::unpack(at, std::size_t(out.count(rank)), [&](auto const& row) {
-      Real3 x, p;
-      for (std::size_t d = 0; d < 3; ++d) x[d] = real_of(row[position + d]), p[d] = real_of(row[momentum + d]);
-      Real own = 0;
-      if constexpr (columns > weight) own = real_of(row[weight]);
-      out.set(n++, x, p, own, std::int64_t(row[id]), {int(row[level]), int(row[box]), int(row[brick])},
-              row[wrapped] != 0);
-    });
+  std::size_t portion = 0;
+  std::int64_t done = 0;  // of it
+  auto const take = [&](auto const& row) {
+    if (done == arrivals.portions()[portion].count) ++portion, done = 0;
+    std::int64_t const n = places[portion] + done++;
+    for (std::size_t d = 0; d < 3; ++d)
+      out.position[d][n] = real_of(row[position + d]), out.momentum[d][n] = real_of(row[momentum + d]);
+    out.id[n] = std::int64_t(row[id]);
+    if constexpr (columns > weight)
+      if (!out.equal_weights) out.weight[n] = real_of(row[weight]);
+  };
+  for (std::size_t rank = 0; rank + 1 < arrivals.starts.size(); ++rank)
+    at = BitColumns<columns>::unpack(at, std::size_t(arrivals.count(rank)), take);
 }
 
 }  // namespace
 
-LeavingParticles pack(ParticleMesh const& mesh, ParticleView const& particles,
-                      std::vector<std::vector<Destinations::Leaver>> const& leavers, bool has_weights) {
+LeavingParticles pack(ParticleMesh const& mesh, ParticleView const& particles, std::vector<Leavers>& leavers,
+                      bool has_weights) {
   std::vector<std::int64_t> counts;
   for (auto const& to_rank : leavers) counts.push_back(std::int64_t(to_rank.size()));
   LeavingParticles out(counts);
@@ -86,28 +102,47 @@ LeavingParticles pack(ParticleMesh const& mesh, ParticleView const& particles,
   return out;
 }
 
-PackedParticles announce(Communicator const& comm, LeavingParticles const& leaving) {
-  std::vector<std::pair<int, std::int64_t>> to;
-  std::vector<std::int64_t> coming(std::size_t(comm.ranks()), 0);
-  for (std::size_t r = 0; r < coming.size(); ++r)
-    if (leaving.count(r) > 0) to.emplace_back(int(r), leaving.count(r));
-  for (auto const& [rank, count] : comm.announced(to)) coming[std::size_t(rank)] = count;
-  return PackedParticles(coming, leaving.has_weights);
+Arrivals announce(Communicator const& comm, LeavingParticles& leaving) {
+  auto const announced = std::exchange(leaving.announced, {});
+  return Arrivals(std::size_t(comm.ranks()), brought(comm, announced), leaving.has_weights);
 }
 
-void exchange(Communicator const& comm, LeavingParticles& leaving, PackedParticles& arrivals) {
-  std::vector<int> from;
-  for (std::size_t r = 0; r + 1 < arrivals.starts.size(); ++r)
-    if (arrivals.count(r) > 0) from.push_back(int(r));
-  auto const words = comm.swapped(leaving.words, from);
-  leaving.words.clear();
-  arrivals.allocate();
-  if (words.empty()) return;  // nothing came, or to a virtual rank
-  arrivals.has_weights() ? unpack_rows<weight + 1>(words, arrivals) : unpack_rows<weight>(words, arrivals);
+Arrivals::Arrivals(std::size_t ranks, std::vector<std::pair<int, std::vector<std::int64_t>>> const& announced,
+                   bool has_weights)
+    : has_weights_(has_weights) {
+  std::vector<std::int64_t> counts(ranks, 0);
+  words_of_.assign(ranks, 0);
+  for (auto const& [rank, list] : announced) {
+    words_of_[std::size_t(rank)] = list.front();
+    for (std::size_t n = 1; n < list.size(); n += 2) {
+      std::uint64_t const word = std::uint64_t(list[n]);
+      portions_.push_back({rank, home_of(word >> 1), (word & 1) != 0, list[n + 1]});
+      counts[std::size_t(rank)] += list[n + 1];
+    }
+  }
+  static_cast<Passing&>(*this) = Passing(counts);
+}
+
+void Arrivals::start(Communicator const& comm, LeavingParticles const& leaving) {
+  words_.resize(std::size_t(std::accumulate(words_of_.begin(), words_of_.end(), std::int64_t(0))));
+  std::int64_t* to = words_.data();
+  for (int rank = 0; rank < comm.ranks(); ++rank) {
+    std::size_t const words = std::size_t(words_of_[std::size_t(rank)]);
+    if (words > 0) messages_.receive(comm, to, words, rank);
+    to += words;
+  }
+  for (auto const& [rank, words] : leaving.words) messages_.send(comm, words.data(), words.size(), rank);
+}
+
+void Arrivals::receive(std::vector<LocalIndex> const& places, ParticleView const& out) {
+  messages_.wait_for_received();
+  has_weights_ ? unpack_rows<weight + 1>(words_, *this, places, out) : unpack_rows<weight>(words_, *this, places, out);
+  words_ = {};
+  messages_.wait_for_sent();
 }
 
 void exchange_rows(Communicator const& comm, std::size_t width, LeavingParticles const& leaving,
-                   std::vector<Real> const& left, PackedParticles const& arrivals, std::vector<Real>& arrived) {
+                   std::vector<Real> const& left, Arrivals const& arrivals, std::vector<Real>& arrived) {
   arrived.resize(width * std::size_t(arrivals.count()));
   Messages messages;
   for (int r = 0; r < comm.ranks(); ++r) {

@@ -2,11 +2,12 @@
 #pragma once
 
 #include <cstdint>
-#include <cstring>
 #include <map>
 #include <numeric>
+#include <utility>
 #include <vector>
 
+#include "base/communicator.hpp"
 #include "particle/classify.hpp"
 
 namespace amrpic {
@@ -23,62 +24,67 @@ class Passing {
   std::int64_t count(std::size_t rank) const { return starts[rank + 1] - starts[rank]; }
 };
 
-/// Those that leave this rank, as they travel: of each rank's the columns of position, momentum, id and brick in as few
-/// bits as hold them (`BitColumns`), and of weights unless all are equal.
+/// Particles that pass from one rank to another, all to the same brick: those that came through a periodic face, or the
+/// others.
+struct Portion {
+  int rank;  ///< that they come from
+  Home home;
+  bool wrapped;
+  std::int64_t count;
+};
+
+/// Those that leave this rank, as they travel: of each rank's, portion after portion, the columns of position, momentum
+/// and id in as few bits as hold them (`BitColumns`), and of weights unless all are equal.
 struct LeavingParticles : Passing {
   using Passing::Passing;
-  std::map<int, std::vector<std::int64_t>> words;  ///< by rank, until they are sent
-  bool has_weights = false;                        ///< the same on all ranks
-  bool finite = true;                              ///< whether all momenta are
+  // by rank, until they are sent
+  std::map<int, std::vector<std::int64_t>> announced;  ///< how many words, then a word and a number for each portion
+  std::map<int, std::vector<std::int64_t>> words;
+  bool has_weights = false;  ///< the same on all ranks
+  bool finite = true;        ///< whether all momenta are
 };
 
-/// Those that come to this rank: each in words of eight bytes, position, momentum, id, brick, and its weight unless all
-/// are equal.
-class PackedParticles : public Passing {
+/// Those that come to this rank: it is known how many come to which brick before they are there.
+class Arrivals : public Passing {
  public:
-  /// `counts`: of each rank. `has_weights`: the same on all ranks.
-  explicit PackedParticles(std::vector<std::int64_t> const& counts = {}, bool has_weights = false)
-      : Passing(counts), width_(has_weights ? 9 : 8) {}
+  Arrivals() = default;
+  Arrivals(Arrivals&&) = default;
+  Arrivals& operator=(Arrivals&&) = default;  ///< nothing of the one before may be under way
+  ~Arrivals() { messages_.wait_for_all(); }   // they read and write memory that is freed now
+  /// `announced`: by some of so many ranks, in their order. `has_weights`: the same on all ranks.
+  Arrivals(std::size_t ranks, std::vector<std::pair<int, std::vector<std::int64_t>>> const& announced,
+           bool has_weights);
 
-  bool has_weights() const { return width_ == 9; }
+  /// In the order of ranks.
+  std::vector<Portion> const& portions() const { return portions_; }
 
-  /// Make room for all.
-  void allocate() { words_.resize(std::size_t(count()) * width_); }
-  /// `wrapped`: it came through a periodic face.
-  void set(std::int64_t n, Real3 const& position, Real3 const& momentum, Real weight, std::int64_t id, Home const& home,
-           bool wrapped);
-
-  Real position(std::int64_t n, int d) const { return real(n, d); }
-  Real momentum(std::int64_t n, int d) const { return real(n, 3 + d); }
-  std::int64_t id(std::int64_t n) const { return at(n)[6]; }
-  Home home(std::int64_t n) const;
-  bool is_wrapped(std::int64_t n) const { return (at(n)[7] & 1) != 0; }
-  Real weight(std::int64_t n) const { return real(n, 8); }
+  /// Send those that leave, and ask for these. One message per pair of ranks that has any. `leaving` must live
+  /// until they are received, or this is destroyed, which waits for other ranks that have started. Local.
+  void start(Communicator const& comm, LeavingParticles const& leaving);
+  /// Let messages move. Whoever computes meanwhile calls this at times.
+  void poll() { messages_.poll(); }
+  /// Wait for them, and write those of each portion into `out`, from its place on. Weights are written if there is one
+  /// for each. Collective.
+  void receive(std::vector<LocalIndex> const& places, ParticleView const& out);
 
  private:
-  std::int64_t const* at(std::int64_t n) const { return words_.data() + std::size_t(n) * width_; }
-  Real real(std::int64_t n, int word) const {
-    Real out;
-    std::memcpy(&out, at(n) + word, sizeof out);
-    return out;
-  }
-
-  std::size_t width_;  ///< words of a particle
-  std::vector<std::int64_t> words_;
+  std::vector<Portion> portions_;
+  std::vector<std::int64_t> words_of_;  ///< of each rank
+  std::vector<std::int64_t> words_;     ///< of all
+  bool has_weights_ = false;
+  Messages messages_;
 };
 
-/// Those that leave this rank, wrapped along periodic axes, with or without their weights. Local.
+/// Those that leave this rank, wrapped along periodic axes, with or without their weights. `leavers` are put into the
+/// order in which they travel. Local.
 LeavingParticles pack(ParticleMesh const& mesh, ParticleView const& particles,
-                      std::vector<std::vector<Destinations::Leaver>> const& leavers, bool has_weights);
+                      std::vector<std::vector<Destinations::Leaver>>& leavers, bool has_weights);
 
-/// Let other ranks know how many will come to them. Return as many as will come here, not received yet. Collective.
-PackedParticles announce(Communicator const& comm, LeavingParticles const& leaving);
-
-/// Send those that leave, and receive those announced. One message per pair of ranks that has any. Collective.
-void exchange(Communicator const& comm, LeavingParticles& leaving, PackedParticles& arrivals);
+/// Let other ranks know how many will come to which of their bricks. Return what will come here. Collective.
+Arrivals announce(Communicator const& comm, LeavingParticles& leaving);
 
 /// Send rows of so many further numbers of those that leave, and receive those of the ones that arrive. Collective.
 void exchange_rows(Communicator const& comm, std::size_t width, LeavingParticles const& leaving,
-                   std::vector<Real> const& left, PackedParticles const& arrivals, std::vector<Real>& arrived);
+                   std::vector<Real> const& left, Arrivals const& arrivals, std::vector<Real>& arrived);
 
 }  // namespace amrpic

@@ -21,14 +21,14 @@ std::vector<LocalIndex> in_order(BrickNumbers const& bricks, LocalIndex own) {
 
 }  // namespace
 
-Places sort(ParticleMesh const& mesh, Destinations& destinations, PackedParticles const& arrivals) {
+Places sort(ParticleMesh const& mesh, Destinations& destinations, std::vector<Portion> const& arrivals) {
   BrickNumbers& bricks = destinations.bricks;
-  std::vector<LocalIndex> brick_of(static_cast<std::size_t>(arrivals.count()));
-  for (std::size_t n = 0; n < brick_of.size(); ++n) brick_of[n] = bricks.number(arrivals.home(std::int64_t(n)));
+  std::vector<LocalIndex> brick_of;  // of each portion
+  for (Portion const& portion : arrivals) brick_of.push_back(bricks.number(portion.home));
   LocalIndex const own = mesh.bricks();
   std::vector<std::int64_t> next = destinations.per_brick;  // place of each brick; at first how many it will hold
   next.resize(std::size_t(own) + bricks.remote().size(), 0);
-  for (LocalIndex brick : brick_of) ++next[std::size_t(brick)];
+  for (std::size_t n = 0; n < brick_of.size(); ++n) next[std::size_t(brick_of[n])] += arrivals[n].count;
 
   Places out;
   std::int64_t all = 0;
@@ -52,10 +52,11 @@ Places sort(ParticleMesh const& mesh, Destinations& destinations, PackedParticle
   out.wrapped.reserve(destinations.wrapped.size());
   out.arrivals.resize(brick_of.size());
 
-  std::int64_t const first_higher = arrivals.starts[std::size_t(mesh.hierarchy().comm().rank())];
-  auto const place_arrivals = [&](std::int64_t first, std::int64_t last, bool wrapped) {
-    for (std::int64_t n = first; n < last; ++n)
-      if (arrivals.is_wrapped(n) == wrapped) out.arrivals[std::size_t(n)] = take(brick_of[std::size_t(n)]);
+  int const rank = mesh.hierarchy().comm().rank();
+  auto const place_arrivals = [&](bool of_lower_ranks, bool wrapped) {
+    for (std::size_t n = 0; n < arrivals.size(); ++n)
+      if ((arrivals[n].rank < rank) == of_lower_ranks && arrivals[n].wrapped == wrapped)
+        out.arrivals[n] = take(brick_of[n], LocalIndex(arrivals[n].count));
   };
   auto mover = destinations.movers.begin();
   auto const place_movers_before = [&](LocalIndex place) {
@@ -63,17 +64,17 @@ Places sort(ParticleMesh const& mesh, Destinations& destinations, PackedParticle
       out.movers.push_back({mover->place, take(mover->brick)});
   };
 
-  place_arrivals(0, first_higher, false);
+  place_arrivals(true, false);
   for (auto const& run : destinations.runs) {
     place_movers_before(run.first);  // none of those within the run goes to the brick of its stayers
     out.runs.push_back(take(run.brick, run.stayed));
   }
   place_movers_before(std::numeric_limits<LocalIndex>::max());
-  place_arrivals(first_higher, arrivals.count(), false);
+  place_arrivals(false, false);
 
-  place_arrivals(0, first_higher, true);
+  place_arrivals(true, true);
   for (auto const& [place, brick] : destinations.wrapped) out.wrapped.push_back({place, take(brick)});
-  place_arrivals(first_higher, arrivals.count(), true);
+  place_arrivals(false, true);
   return out;
 }
 

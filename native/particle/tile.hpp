@@ -53,11 +53,23 @@ struct Stray {
   std::int64_t id;
 };
 
-/// Particles [first, last) of a slab, or those of them with one coarsening `depth`.
+/// Which particles of a rank are meant: a bit for each, `block_size` of them in a word.
+struct ParticleBits {
+  std::uint64_t const* words = nullptr;  ///< null: all are meant
+  bool inverted = false;                 ///< whether those are meant whose bits are not set
+
+  std::uint64_t of_block(std::int64_t first) const {
+    if (!words) return ~std::uint64_t(0);
+    return inverted ? ~words[first / block_size] : words[first / block_size];
+  }
+};
+
+/// Particles [first, last) of a slab, or those of them with one coarsening `depth` and with `bits`.
 struct Chosen {
   std::int64_t first, last;
   char const* depth = nullptr;  ///< of each from `first` on; null: all are chosen
   int wanted = 0;
+  ParticleBits bits{};
 
   /// Call f(block) for the blocks in which there are any.
   template <class F>
@@ -65,9 +77,9 @@ struct Chosen {
     for (std::int64_t n = first / block_size * block_size; n < last; n += block_size) {
       int const from = int(std::max<std::int64_t>(0, first - n)),
                 to = int(std::min<std::int64_t>(block_size, last - n));
-      std::uint64_t bits = (~std::uint64_t(0) >> (block_size - to)) & (~std::uint64_t(0) << from);
-      for (int i = from; depth && i < to; ++i) bits &= ~(std::uint64_t(depth[n + i - first] != wanted) << i);
-      if (bits != 0) f(LaneBlock{n, bits});
+      std::uint64_t chosen = (~std::uint64_t(0) >> (block_size - to)) & (~std::uint64_t(0) << from) & bits.of_block(n);
+      for (int i = from; depth && i < to; ++i) chosen &= ~(std::uint64_t(depth[n + i - first] != wanted) << i);
+      if (chosen != 0) f(LaneBlock{n, chosen});
     }
   }
 };

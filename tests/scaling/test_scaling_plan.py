@@ -41,7 +41,7 @@ from amrpic.scaling.virtual_ranks import (
 from amrpic.scene.scene import Scene
 from amrpic.stages.deposit import deposit
 from amrpic.stages.gather import gather
-from amrpic.stages.migrate import migrate
+from amrpic.stages.migrate import NONE, migrate
 from amrpic.stages.poisson import PoissonSolver
 
 SCENE = {
@@ -81,6 +81,7 @@ def test_virtual_ranks_send_what_real_ones_do(comm: MPI.Comm):
             expected = planned[call].traffic.collectives if call == "solve" else sent[call].traffic.collectives
             assert planned[call].traffic == replace(sent[call].traffic, collectives=expected), call
     assert sent["cycle"].traffic.messages > 0 and sent["migrate"].traffic.bytes > 0 and sent["regrid"].traffic.bytes > 0
+    assert 0 < sent["announce"].traffic.bytes < sent["migrate"].traffic.bytes
 
     remote = comm.allgather(mine.sorted_on(real).remote.bricks)
     rows, brick = np.unique(np.concatenate(remote), axis=0, return_inverse=True)
@@ -144,7 +145,7 @@ def machine(**network: float) -> Machine:
 
 
 def invented() -> Plan:
-    calls = "migrate", "deposit", "solve", "cycle", "gather", "output", "open walls"
+    calls = "announce", "migrate", "deposit", "solve", "cycle", "gather", "output", "open walls"
     sent = {call: Sent(Traffic(3, 4000, 2), {1: 1000.0, 5: 3000.0}) for call in calls}
     ones = np.ones(8)
     cells = np.array([[100, 50] * 4, [0, 80] * 4])
@@ -169,7 +170,7 @@ def invented() -> Plan:
         walls,
         without,
         between,
-        Leaving(8, *([np.array(values) for values in ([0, 0, 3], [1, 5, 6], [10, 30, 20])])),
+        Leaving(8, *([np.array(values) for values in ([0, 0, 3], [1, 5, 6], [10, 30, 20], [2, 3, 1])])),
         0,
         np.ones(8, dtype=int),
         1.0,
@@ -182,7 +183,7 @@ def test_the_model_is_its_formula():
     times = step_time(plan, machine(), cycles=2)
     swept = 0.2 * cells * 2 * 1e-8 + 36 * 2 * 1e-7
     assert times["solve"].work == pytest.approx(1e-3 + 180 * 1e-9 + swept + 3 * 4000 * 1e-10)
-    assert times["migrate"].work == pytest.approx(7 * 0.5 * 3e-8 + 7 * 1e-7 + 4000 * 1e-9)
+    assert times["migrate"].work == pytest.approx(7 * 0.5 * 3e-8 + 7 * 1e-7 + 2 * 4000 * 1e-9)
     leaving = 3000 * 4  # to rank 5, from each of four ranks of a node
     assert times["solve"].messages == pytest.approx(3 * (3e-6 + leaving / 1e9))
     assert times["solve"].collectives == pytest.approx(3 * 2 * 3 * 2e-6)
@@ -192,7 +193,22 @@ def test_the_model_is_its_formula():
     assert plan.exchange.leaving("deposit", 4) == 8 + 8 + 800 and plan.exchange.leaving("gather", 4) == 2400
     assert plan.exchange.leaving("deposit", 8) == 0
     assert plan.leaving("migrate", 4) == 4000 / 40 * 50 and plan.leaving("migrate", 8) == 0
+    assert plan.leaving("announce", 4) == pytest.approx(8 * (2 + 2 * (3 + 1))) and plan.leaving("announce", 8) == 0
     assert total(step_time(plan, machine().scaled("latency", 2), 2)) > total(times)
+
+
+def test_particles_pass_between_nodes_while_those_that_stay_are_deposited():
+    def messages(particles: float, **network: float) -> float:
+        plan = replace(invented(), particles=np.array([particles + 40, *[particles + 100] * 7]))
+        return step_time(plan, machine(**network), cycles=2)["migrate"].messages
+
+    latency, passing = 3 * 1e-6, 5000 / 1e9  # of 50 particles of 100 bytes, on one of the two nodes
+    before = 2 * latency + 80 / 1e9  # that of announcements and theirs
+    assert messages(0) == pytest.approx(before + passing - 60 * 1e-8)  # of ranks with 100 those come last that get 40
+    assert messages(300) == pytest.approx(before + passing - 360 * 1e-8)
+    assert messages(1000) == pytest.approx(before)  # deposit takes longer
+    on_one_node = messages(1000, ranks_per_node=8)  # whose processors copy
+    assert on_one_node == pytest.approx(2 * (latency + 8 * 4000 / 1e9))
 
 
 def test_constants_are_found_again_from_times():
@@ -354,12 +370,15 @@ def test_particles_that_leave_ranks_and_nodes_are_those_of_a_migration(step: str
     everyone = make_particles(MPI.COMM_SELF, made)
     everyone = everyone.replace(position=np.random.default_rng(2).uniform(lower, upper, everyone.position.shape))
     found = leaving(moves(bricks, mesh, displacements(made, everyone)), held, ranks)
-    left, far = np.zeros(ranks), np.zeros(ranks // 4)
+    left, far, announced = np.zeros(ranks), np.zeros(ranks // 4), np.zeros(ranks)
     for rank in range(ranks):
         there = mesh.seen_by(rank)
         mine, _ = migrate(everyone, there, held.servers)
+        moved, before = mine.replace(position=mine.position + displacements(made, mine)), traffic().bytes
+        _native.Migration(there.particle_mesh, held.servers, *moved.with_own_weights().arrays, NONE, True)
+        announced[rank] = traffic().bytes - before
         _native.take_destinations()
-        stayed, lost = migrate(mine.replace(position=mine.position + displacements(made, mine)), there, held.servers)
+        stayed, lost = migrate(moved, there, held.servers)
         left[rank] = len(mine) - len(stayed) - len(lost)
         to = _native.take_destinations()
         far[rank // 4] += left[rank] * sum(n for other, n in to.items() if other // 4 != rank // 4) / sum(to.values())
@@ -367,3 +386,4 @@ def test_particles_that_leave_ranks_and_nodes_are_those_of_a_migration(step: str
         left.sum(), rel=0.03
     )
     assert np.all(np.abs(found.of_nodes(4) - far) < 5 * np.sqrt(far)) and found.of_nodes(ranks).tolist() == [0]
+    assert np.bincount(found.source, found.announced, ranks) == pytest.approx(announced, rel=0.1)

@@ -11,7 +11,7 @@ with its m messages of b bytes, of which those count for the bandwidth that leav
 collectives. Maxima are over ranks; all ranks of a node send at the same time; levels are visited in turn. Stages begin
 together: what ranks wait for each other between them stands apart. Between nodes the bytes of particles that migrate pass
 while each rank deposits those that stay on it, so that both together take max over ranks of p particle + max(b ranks per node /
-bandwidth − stayed particle, 0); no other message overlaps with work.
+bandwidth − stayed particle, 0) in steps that do not look at the mesh; no other message overlaps with work.
 """
 
 from __future__ import annotations
@@ -169,14 +169,14 @@ def stage_time(stage: str, plan: Plan, machine: Machine, amounts: Amounts) -> Ti
 
 
 def hidden_time(plan: Plan, machine: Machine, amounts: Amounts) -> float:
-    """Return the seconds in which particles pass between nodes while those that stay on their ranks are deposited."""
+    """Return the seconds of a step, on average, in which particles pass between nodes while those that stay are deposited."""
     here = machine.network.ranks_per_node
     if plan.ranks <= here:
         return 0.0  # within a node the processors themselves copy
     particle = machine.work(plan.ranks).get("deposit", Work()).particle
     passing = plan.leaving("migrate", here) / machine.network.bandwidth
     together = plan.particles * particle + np.maximum(passing - amounts.stayed * particle, 0)
-    return float(passing + plan.particles.max() * particle - together.max())
+    return plan.overlapping * float(passing + plan.particles.max() * particle - together.max())
 
 
 def network_time(stage: str, plan: Plan, network: Network, amounts: Amounts) -> tuple[float, float]:

@@ -88,6 +88,7 @@ class Plan:
     exchange: Exchange  # between servers of particles and owners of cells
     between: Leaving  # particles that come to other servers in a step
     estimates: float  # cycles per solve that find the error of the mesh, besides those that improve the potential
+    overlapping: float  # the part of steps that deposit particles while others are under way
     met: Array  # (ranks,) other ranks that one meets, of all levels together
     seconds: float  # of the processor, in which the plan was made
 
@@ -191,6 +192,14 @@ def estimates_per_solve(scene: Scene) -> float:
     refinement = scene.refinement
     anew = refinement.regrid_every if refinement.follows and refinement.regrid_every > 0 else math.inf
     return 1 / min(anew, _native.SOLVES_PER_ESTIMATE)
+
+
+def overlapping_steps(scene: Scene) -> float:
+    """Return the part of steps that deposit particles of a rank while others are under way to it: see `fly`."""
+    refinement = scene.refinement
+    if len({bunch.species for bunch in scene.bunches}) > 1 or scene.solver.backend == "kokkos":
+        return 0.0
+    return 1 - 1 / refinement.regrid_every if refinement.follows and refinement.regrid_every > 0 else 1.0
 
 
 def cycles_per_solve(scene: Scene) -> float:
@@ -311,6 +320,7 @@ class Planner:
             held.exchange,
             between,
             estimates_per_solve(scene),
+            overlapping_steps(scene),
             met,
             time.process_time() - since,
         )

@@ -115,13 +115,6 @@ std::vector<int> Communicator::counts(std::size_t mine) const {
 
 namespace {
 
-/// A list that is one message.
-struct List {
-  int rank;
-  std::int64_t const* values;
-  std::size_t count;
-};
-
 /// Of a list that is one message.
 std::size_t checked_length(std::size_t count) {
   if (count > longest)
@@ -129,18 +122,20 @@ std::size_t checked_length(std::size_t count) {
   return count;
 }
 
-/// Send lists to ranks that need not expect them, and receive those of others where room(rank, count) says. Collective.
-template <class Room>
-void bring(Communicator const& comm, std::vector<List> const& to, Room const& room) {
-  if (comm.ranks() == 1) return;
-  for (List const& list : to) comm.count_sent(list.rank, list.count * sizeof *list.values);
+}  // namespace
+
+std::vector<std::pair<int, std::vector<std::int64_t>>> brought(Communicator const& comm,
+                                                               std::map<int, std::vector<std::int64_t>> const& to) {
+  std::vector<std::pair<int, std::vector<std::int64_t>>> out;
+  if (comm.ranks() == 1) return out;
+  for (auto const& [rank, values] : to) comm.count_sent(rank, values.size() * sizeof values[0]);
   ++traffic().collectives;
-  if (comm.is_virtual()) return;
+  if (comm.is_virtual()) return out;
   // A rank may be one round ahead of another, and must not be taken for one of the round before: two tags take turns.
   int const tag = tag_announcement + rounds_of(comm.handle())++ % 2;
   std::vector<MPI_Request> sending;
-  for (List const& list : to)
-    MPI_Issend(list.values, int(checked_length(list.count)), MPI_INT64_T, list.rank, tag, comm.handle(),
+  for (auto const& [rank, values] : to)
+    MPI_Issend(values.data(), int(checked_length(values.size())), MPI_INT64_T, rank, tag, comm.handle(),
                &sending.emplace_back());
   // A rank whose lists have all arrived waits for the others to say so too; until then more may come.
   MPI_Request everyone = MPI_REQUEST_NULL;
@@ -153,7 +148,8 @@ void bring(Communicator const& comm, std::vector<List> const& to, Room const& ro
     if (waits) {
       int count = 0;
       MPI_Get_count(&status, MPI_INT64_T, &count);
-      MPI_Mrecv(room(status.MPI_SOURCE, std::size_t(count)), count, MPI_INT64_T, &message, MPI_STATUS_IGNORE);
+      auto& values = out.emplace_back(status.MPI_SOURCE, std::vector<std::int64_t>(std::size_t(count))).second;
+      MPI_Mrecv(values.data(), count, MPI_INT64_T, &message, MPI_STATUS_IGNORE);
     }
     if (has_arrived) {
       MPI_Test(&everyone, &done, MPI_STATUS_IGNORE);
@@ -164,28 +160,6 @@ void bring(Communicator const& comm, std::vector<List> const& to, Room const& ro
       has_arrived = sent != 0;
     }
   }
-}
-
-}  // namespace
-
-std::vector<std::pair<int, std::int64_t>> Communicator::announced(
-    std::vector<std::pair<int, std::int64_t>> const& to) const {
-  std::vector<List> lists;
-  for (auto const& [rank, count] : to) lists.push_back({rank, &count, 1});
-  std::vector<std::pair<int, std::int64_t>> out;
-  bring(*this, lists, [&](int rank, std::size_t) { return &out.emplace_back(rank, 0).second; });
-  std::sort(out.begin(), out.end());
-  return out;
-}
-
-std::vector<std::pair<int, std::vector<std::int64_t>>> brought(Communicator const& comm,
-                                                               std::map<int, std::vector<std::int64_t>> const& to) {
-  std::vector<List> lists;
-  for (auto const& [rank, values] : to) lists.push_back({rank, values.data(), values.size()});
-  std::vector<std::pair<int, std::vector<std::int64_t>>> out;
-  bring(comm, lists, [&](int rank, std::size_t count) {
-    return out.emplace_back(rank, std::vector<std::int64_t>(count)).second.data();
-  });
   std::sort(out.begin(), out.end(), [](auto const& a, auto const& b) { return a.first < b.first; });
   return out;
 }

@@ -131,11 +131,6 @@ class Communicator {
                    comm_);
   }
 
-  /// Which ranks send something to this one, and how many elements: `to` lists rank and number of what this one sends.
-  /// Ranks that have nothing for each other do not meet (T. Hoefler et al., "Scalable communication protocols for
-  /// dynamic sparse data exchange", PPoPP 2010). In the order of ranks.
-  std::vector<std::pair<int, std::int64_t>> announced(std::vector<std::pair<int, std::int64_t>> const& to) const;
-
   /// What each rank of `from` sends this one, in that order, where only the senders know how much; `to`: what this one
   /// sends, by rank. Empty lists travel too: whom a rank expects something from sends it.
   template <class T>

@@ -317,7 +317,7 @@ class Deposition::Sums {
       if (is_occupied(slot)) ghosts += at.ghosts.cells();
     }
     if (clouds.kernels)
-      batch_.emplace(mesh, *clouds.kernels, particles, [this](TileKernels const& kernels, auto const& on) {
+      batch_.emplace(mesh, *clouds.kernels, particles_, [this](TileKernels const& kernels, auto const& on) {
         return kernels.deposit(clouds_.shape, particles_, on);
       });
   }

@@ -165,6 +165,7 @@ void Cycle::prolong_and_post_smooth(CycleLevel& level) {
   int const further = level.local ? 1 : 0;  // a residual is taken there
   stages = relaxations(level, stages, sweeps, false, further);
   if (level.local) stages = level.local->improve(stages);
+  if (level.last.act) stages.push_back(level.last);
   level.swept->run(stages);
 }
 
@@ -191,6 +192,7 @@ void Cycle::solve_coarsest() {
   for_each_own_row([&](std::size_t place, std::size_t value, int n) {
     std::transform(&values_[value], &values_[value] + n, &e[place], [](Real v) { return float(v); });
   });
+  if (levels_[0].last.act) levels_[0].swept->run({levels_[0].last});
 }
 
 std::vector<LevelWork> Cycle::work() const {

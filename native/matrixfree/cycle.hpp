@@ -50,6 +50,9 @@ class Cycle {
   /// The work of a cycle, by levels, the coarsest first. Local.
   std::vector<LevelWork> work() const;
 
+  /// What is done last to each plane of own cells of such a level.
+  void set_last_stage(std::size_t l, PlaneStage stage) { levels_[multigrid_.base + l].last = std::move(stage); }
+
   SweptLevel& level(std::size_t l) { return *levels_[multigrid_.base + l].swept; }  ///< a refinement level, or the base
 
   /// Cells of the base per cell of the multigrid level below it, along each axis; ones if there is none.
@@ -63,6 +66,7 @@ class Cycle {
     std::unique_ptr<SweptLevel> swept;
     std::unique_ptr<Coarsening> coarsening;  ///< to the level below; none for the coarsest
     std::unique_ptr<LocalCycle> local;       ///< of a refinement level of long or flat cells
+    PlaneStage last;                         ///< after all sweeps; may be none
   };
   void pre_smooth_and_restrict(CycleLevel& level, Guess guess);
   void prolong_and_post_smooth(CycleLevel& level);

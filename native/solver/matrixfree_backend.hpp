@@ -1,9 +1,11 @@
 #pragma once
 
+#include <algorithm>
 #include <optional>
 
 #include "matrixfree/composite.hpp"
 #include "matrixfree/cycle.hpp"
+#include "matrixfree/damping.hpp"
 #include "solver/backend.hpp"
 #include "solver/compressed_rows.hpp"
 #include "solver/minimal_residual.hpp"
@@ -36,7 +38,7 @@ class MatrixFreeBackend : public Backend {
   ElectricField electric_field_as(Field const& potential, CoveredField covered, Holds holds) override {
     return composite_.electric_field(potential, problem_.walls, covered, holds);
   }
-  std::size_t steps_in_turn() const override { return steps_.size(); }
+  std::size_t steps_in_turn() const override { return std::min<std::size_t>(steps_.size(), even_steps); }
   std::vector<std::vector<std::vector<FourthOrderField::AddedDensity>>> beside_coarse_faces(
       Field const& density) override {
     if (problem_.options.order == 2) return {};
@@ -69,6 +71,8 @@ class MatrixFreeBackend : public Backend {
   Real largest(Blocks<float> const& blocks, std::vector<Real> const& scale);
   int levels() const { return problem_.hierarchy->level_count(); }
 
+  static constexpr std::size_t even_steps = 5;
+
   Blocks<float> residual_, correction_;
   std::vector<matrixfree::Vector> kept_;  ///< residuals, while the error of the mesh is estimated
   Real largest_source_ = 0;               ///< magnitude of f, V/m^2
@@ -77,8 +81,9 @@ class MatrixFreeBackend : public Backend {
   /// Of each level, places in the cycle's vectors; empty until first used, and where no rank has any.
   std::vector<std::vector<std::size_t>> behind_gaps_;
   bool knows_gaps_ = false;
-  std::vector<Real> steps_;  ///< factors of corrections, in turn
-  std::size_t cycles_ = 0;   ///< since `start`
+  std::optional<Damping> damping_;  ///< in fourth order
+  std::vector<Real> steps_;         ///< factors of corrections, in turn
+  std::size_t cycles_ = 0;          ///< since `start`
   MinimalResidual corrections_;
   Field* phi_ = nullptr;
   Real latest_residual_ = 0;    ///< its norm, V/m^2

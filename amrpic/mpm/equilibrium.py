@@ -97,6 +97,8 @@ def equilibrium(
                 step, u = u + step - there, there
                 residual, energy, moving, found = force - state.force, state.energy, False, (there, state, 0.0)
         found = _searched(solid, u, step, residual, energy, force, held, moving, size) or found
+        if found is not None and not linear.converged and not moving:
+            found = _farther(solid, u, step, force, found)
         if found is None:
             reason = "no part of a step leaves det F positive and lowers the residual or the potential"
             break
@@ -149,6 +151,23 @@ def _searched(
                 return there, response, length
         length /= 2
     return None
+
+
+def _farther(
+    solid: Solid, u: np.ndarray, step: np.ndarray, force: np.ndarray, found: tuple[np.ndarray, Response, float]
+) -> tuple[np.ndarray, Response, float]:
+    """Where a step leads that ended at a direction without positive curvature, which says nothing of its length. Collective.
+
+    It is doubled while the potential falls.
+    """
+    there, response, length = found
+    for _ in range(MOST_CUTS if length == 1 else 0):  # what is longer than a step that was cut is known not to be good
+        beyond = u + 2 * length * step
+        then = solid.respond(beyond)
+        if not (then.smallest_j > 0 and then.energy - response.energy < _dot(solid, force, beyond - there)):
+            break
+        there, response, length = beyond, then, 2 * length
+    return there, response, length
 
 
 def _conditions(

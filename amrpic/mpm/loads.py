@@ -81,12 +81,14 @@ class Loads:
             refused=(),
         )
 
-    def cut(self) -> Loads:
-        """Return what follows if the step fails: half of it. SolverError if that is too small."""
+    def cut(self, why: str) -> Loads:
+        """Return what follows if the step fails, for a reason: half of it. SolverError if that is too small."""
         refused, length = (*self.refused, (self.begin, self.end)), (self.end - self.begin) / 2
         if length < self.smallest:
             history = ", ".join(f"{begin:.4g} to {end:.4g}" for begin, end in refused)
-            raise SolverError(f"no equilibrium beyond {self.begin:.4g} of the load; steps that failed: {history}")
+            raise SolverError(
+                f"no equilibrium beyond {self.begin:.4g} of the load; steps that failed: {history}; the last: {why}"
+            )
         return replace(self, length=length, refused=refused)
 
 
@@ -109,7 +111,7 @@ def in_steps(
         found, iterations = advance(state, loads.begin, loads.end)
         tried.append(LoadStep(loads.begin, loads.end, found is not None, iterations))
         if found is None:
-            loads = loads.cut()
+            loads = loads.cut("no state was found")
         else:
             state, loads = found, loads.taken(iterations)
     return state, tried

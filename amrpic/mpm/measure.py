@@ -131,7 +131,7 @@ def measure(
         "damage_growth": report.growth,
         "turns": report.turns,
         "newton_iterations": sum(newton),
-        "newton_most": max(newton),
+        "newton_most": report.most_iterations,
         "cg_iterations": sum(cg),
         "cg_most": max(cg, default=0),
         "residual": report.residuals[-1],

@@ -132,7 +132,7 @@ def test_lengths_of_steps_follow_what_breaks_and_a_crack_at_once_is_one_step():
     assert loads.taken(9, growth=0.19).length == pytest.approx(0.075)
     assert loads.taken(2, growth=0.3).length == pytest.approx(0.05)
     for _ in range(4):
-        loads = loads.cut()
+        loads = loads.cut("it breaks")
     assert loads.length == pytest.approx(0.1 / 16) and loads.most_growth == np.inf
     after = loads.taken(2, growth=0.9)
     assert after.begin == loads.length == after.length  # no shorter for what broke

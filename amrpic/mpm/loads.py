@@ -12,6 +12,9 @@ from ..errors import InputError, SolverError
 State = TypeVar("State")
 FACTORS = (1.5, 1.0, 0.75, 0.5)  # of lengths of steps: few, so that rounding does not change them
 NEAR = 0.75  # part of what damage may grow by in a step, at which the next one is aimed
+AT_FIRST = (
+    0.25  # of that in the first step, where the mean of forces before and after it understates work by the damage
+)
 MOST_HALVINGS = 4  # of the first length, for the sake of damage: a crack that runs through at once does so in any step
 
 
@@ -60,7 +63,8 @@ class Loads:
     @property
     def most_growth(self) -> float:
         """By how much the damage of a point may grow in the next step."""
-        return self.damage_step if self.end - self.begin >= 1.5 * self._shortest else math.inf
+        most = self.damage_step * (AT_FIRST if self.begin == 0 else 1)
+        return most if self.end - self.begin >= 1.5 * self._shortest else math.inf
 
     @property
     def _shortest(self) -> float:

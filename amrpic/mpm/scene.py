@@ -87,8 +87,9 @@ class LoadSection(Section):
         default=0.1,
         gt=0,
         le=1,
-        description="The damage of a point may grow by so much in a step, lengths of steps follow from it. Those down to a "
-        "sixteenth of 1/steps may break more: a crack that runs through at once does so in any step. 1: as much as will.",
+        description="The damage of a point may grow by so much in a step, by a quarter of it in the first; lengths of steps "
+        "follow. Those down to a sixteenth of 1/steps may break more: a crack that runs through at once does so in any step. "
+        "1: as much as will.",
     )
 
     @property

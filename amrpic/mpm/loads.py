@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 from ..errors import InputError, SolverError
 
-State = TypeVar("State")
 FACTORS = (1.5, 1.0, 0.75, 0.5)  # of lengths of steps: few, so that rounding does not change them
 NEAR = 0.75  # part of what damage may grow by in a step, at which the next one is aimed
 AT_FIRST = (
@@ -19,20 +16,11 @@ MOST_HALVINGS = 4  # of the first length, for the sake of damage: a crack that r
 
 
 @dataclass(frozen=True)
-class LoadStep:
-    """A step that was taken or refused, from one part of the load to another, and its Newton iterations."""
-
-    begin: float
-    end: float
-    taken: bool
-    iterations: int
-
-
-@dataclass(frozen=True)
 class Loads:
     """How far a load has come on, and how large its next step is: 1/`steps` of it, less after steps that failed.
 
-    The damage of a point may grow by `damage_step` in a step, unless it is one of the shortest that are cut for that.
+    A step goes from `begin` to `end`, parts of the load; `taken` and `cut` return what follows if it succeeds, and if not. The
+    damage of a point may grow by `damage_step` in a step, unless it is one of the shortest that are cut for that.
     """
 
     steps: int
@@ -94,28 +82,3 @@ class Loads:
                 f"no equilibrium beyond {self.begin:.4g} of the load; steps that failed: {history}; the last: {why}"
             )
         return replace(self, length=length, refused=refused)
-
-
-def in_steps(
-    state: State,
-    advance: Callable[[State, float, float], tuple[State | None, int]],
-    *,
-    steps: int,
-    smallest: float = 1e-3,
-    easy: int = 4,
-) -> tuple[State, Sequence[LoadStep]]:
-    """Return the state under the whole load, and the steps that led there. Collective if `advance` is.
-
-    advance(state, begin, end) gives the state at part `end` of the load, None where it finds none, and its Newton iterations.
-    Steps are 1/`steps` of the load; one without a state is halved, and after one of at most `easy` iterations the next is half
-    as long again, up to the first length. InputError for no number of steps; SolverError where a step below `smallest` fails.
-    """
-    loads, tried = Loads(steps, smallest, easy), []
-    while loads.begin < 1:
-        found, iterations = advance(state, loads.begin, loads.end)
-        tried.append(LoadStep(loads.begin, loads.end, found is not None, iterations))
-        if found is None:
-            loads = loads.cut("no state was found")
-        else:
-            state, loads = found, loads.taken(iterations)
-    return state, tried

@@ -63,11 +63,8 @@ def test_a_slender_column_buckles(comm):
     ends = (mesh.node_indices[:, 2] == 0) | upper_face(mesh)
     straight = np.zeros((len(mesh.nodes), 3))
     straight[:, 2] = -0.15 * mesh.nodes[:, 2]
-    slightly = straight.copy()
-    slightly[:, 0] = 1e-3 * np.sin(np.pi * mesh.nodes[:, 2] / 10) ** 2
-    for start in (straight, slightly):
-        u, report = mpm.equilibrium(solid, fixed=ends, values=straight, start=start)
-        assert report.converged and report.energy < 0.4 * solid.respond(straight).energy, report
+    u, report = mpm.equilibrium(solid, fixed=ends, values=straight, start=straight)
+    assert report.converged and report.energy < 0.4 * solid.respond(straight).energy, report
 
 
 @pytest.mark.mpi(ranks=(1, 2))

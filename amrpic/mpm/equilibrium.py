@@ -61,7 +61,8 @@ def equilibrium(
     beyond a direction along which the tangent is not positive; steps are halved until all det F are positive and the potential
     falls, or the residual does and the potential does not rise; those that ended beyond such a direction are doubled while it
     falls. The first step takes the walls along; it is halved towards `even`, a displacement (nodes, 3) in m that has their
-    values, if that is given and leaves det F positive. What was reached is returned, converged or not. Collective; InputError on all ranks for arrays of other shapes.
+    values, if that is given and leaves det F positive. What was reached is returned, converged or not. Collective; InputError
+    on all ranks for arrays of other shapes.
     """
     held, target, force = _conditions(solid, fixed, values, load)
     u = np.zeros(target.shape) if start is None else _vector(solid, start, "start").copy()

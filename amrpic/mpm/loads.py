@@ -51,8 +51,11 @@ class Loads:
     @property
     def most_growth(self) -> float:
         """By how much the damage of a point may grow in the next step."""
-        most = self.damage_step * (AT_FIRST if self.begin == 0 else 1)
-        return most if self.end - self.begin >= 1.5 * self._shortest else math.inf
+        if self.begin == 0:
+            most, least = AT_FIRST * self.damage_step, 2 * self.smallest
+        else:
+            most, least = self.damage_step, 1.5 * self._shortest
+        return most if self.end - self.begin >= least else math.inf
 
     @property
     def _shortest(self) -> float:

@@ -3,7 +3,7 @@
 from .carry import carried
 from .damage import DamageReport, Settled, damage_field, settle
 from .equilibrium import EquilibriumReport, equilibrium
-from .loads import LoadStep, in_steps
+from .loads import Loads
 from .material_points import MaterialPoints
 from .materials import Damage, Material, NeoHookean, Ogden
 from .scene import Scene
@@ -14,7 +14,7 @@ __all__ = [
     "Damage",
     "DamageReport",
     "EquilibriumReport",
-    "LoadStep",
+    "Loads",
     "Material",
     "MaterialPoints",
     "NeoHookean",
@@ -29,6 +29,5 @@ __all__ = [
     "carried",
     "damage_field",
     "equilibrium",
-    "in_steps",
     "settle",
 ]

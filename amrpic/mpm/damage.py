@@ -37,6 +37,20 @@ class DamageReport:
     equilibria: Sequence[EquilibriumReport]
     growth: float = 0.0  # of the damage of a point, at most
 
+    @property
+    def most_iterations(self) -> int:
+        """Newton iterations of an equilibrium, at most."""
+        return max(one.iterations for one in self.equilibria)
+
+    @property
+    def reason(self) -> str:
+        """How it ended."""
+        last = self.equilibria[-1]
+        if self.converged or not last.converged:
+            return last.reason
+        left = self.residuals[-1]
+        return f"after {self.turns} turns damage has grown by {self.growth:.2g} and moves {left:.1e} of the forces"
+
 
 @dataclass(frozen=True, eq=False)
 class Settled:

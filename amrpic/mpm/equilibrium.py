@@ -59,9 +59,10 @@ def equilibrium(
     Unknowns that are `fixed`, a mask (nodes,) or (nodes, 3), go to their `values` in m. The residual of the others falls to
     `tolerance` times the size of all forces. Linear solves end by Eisenstat and Walker's rule, or at `linear_tolerance`, or
     beyond a direction along which the tangent is not positive; steps are halved until all det F are positive and the potential
-    falls, or the residual does and the potential does not rise. The first step takes the walls along; it is halved towards
-    `even`, a displacement (nodes, 3) in m that has their values, if that is given and leaves det F positive.
-    What was reached is returned, converged or not. Collective; InputError on all ranks for arrays of other shapes.
+    falls, or the residual does and the potential does not rise; those that ended beyond such a direction are doubled while it
+    falls. The first step takes the walls along; it is halved towards `even`, a displacement (nodes, 3) in m that has their
+    values, if that is given and leaves det F positive. What was reached is returned, converged or not. Collective; InputError
+    on all ranks for arrays of other shapes.
     """
     held, target, force = _conditions(solid, fixed, values, load)
     u = np.zeros(target.shape) if start is None else _vector(solid, start, "start").copy()
@@ -97,6 +98,8 @@ def equilibrium(
                 step, u = u + step - there, there
                 residual, energy, moving, found = force - state.force, state.energy, False, (there, state, 0.0)
         found = _searched(solid, u, step, residual, energy, force, held, moving, size) or found
+        if found is not None and not linear.converged and not moving:
+            found = _farther(solid, u, step, force, found)
         if found is None:
             reason = "no part of a step leaves det F positive and lowers the residual or the potential"
             break
@@ -149,6 +152,23 @@ def _searched(
                 return there, response, length
         length /= 2
     return None
+
+
+def _farther(
+    solid: Solid, u: np.ndarray, step: np.ndarray, force: np.ndarray, found: tuple[np.ndarray, Response, float]
+) -> tuple[np.ndarray, Response, float]:
+    """Where a step leads that ended at a direction without positive curvature, which says nothing of its length. Collective.
+
+    It is doubled while the potential falls.
+    """
+    there, response, length = found
+    for _ in range(MOST_CUTS if length == 1 else 0):  # what is longer than a step that was cut is known not to be good
+        beyond = u + 2 * length * step
+        then = solid.respond(beyond)
+        if not (then.smallest_j > 0 and then.energy - response.energy < _dot(solid, force, beyond - there)):
+            break
+        there, response, length = beyond, then, 2 * length
+    return there, response, length
 
 
 def _conditions(

@@ -3,33 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 from ..errors import InputError, SolverError
 
-State = TypeVar("State")
 FACTORS = (1.5, 1.0, 0.75, 0.5)  # of lengths of steps: few, so that rounding does not change them
 NEAR = 0.75  # part of what damage may grow by in a step, at which the next one is aimed
+AT_FIRST = (
+    0.25  # of that in the first step, where the mean of forces before and after it understates work by the damage
+)
 MOST_HALVINGS = 4  # of the first length, for the sake of damage: a crack that runs through at once does so in any step
-
-
-@dataclass(frozen=True)
-class LoadStep:
-    """A step that was taken or refused, from one part of the load to another, and its Newton iterations."""
-
-    begin: float
-    end: float
-    taken: bool
-    iterations: int
 
 
 @dataclass(frozen=True)
 class Loads:
     """How far a load has come on, and how large its next step is: 1/`steps` of it, less after steps that failed.
 
-    The damage of a point may grow by `damage_step` in a step, unless it is one of the shortest that are cut for that.
+    A step goes from `begin` to `end`, parts of the load; `taken` and `cut` return what follows if it succeeds, and if not. The
+    damage of a point may grow by `damage_step` in a step, unless it is one of the shortest that are cut for that.
     """
 
     steps: int
@@ -60,7 +51,11 @@ class Loads:
     @property
     def most_growth(self) -> float:
         """By how much the damage of a point may grow in the next step."""
-        return self.damage_step if self.end - self.begin >= 1.5 * self._shortest else math.inf
+        if self.begin == 0:
+            most, least = AT_FIRST * self.damage_step, 2 * self.smallest
+        else:
+            most, least = self.damage_step, 1.5 * self._shortest
+        return most if self.end - self.begin >= least else math.inf
 
     @property
     def _shortest(self) -> float:
@@ -81,35 +76,12 @@ class Loads:
             refused=(),
         )
 
-    def cut(self) -> Loads:
-        """Return what follows if the step fails: half of it. SolverError if that is too small."""
+    def cut(self, why: str) -> Loads:
+        """Return what follows if the step fails, for a reason: half of it. SolverError if that is too small."""
         refused, length = (*self.refused, (self.begin, self.end)), (self.end - self.begin) / 2
         if length < self.smallest:
             history = ", ".join(f"{begin:.4g} to {end:.4g}" for begin, end in refused)
-            raise SolverError(f"no equilibrium beyond {self.begin:.4g} of the load; steps that failed: {history}")
+            raise SolverError(
+                f"no equilibrium beyond {self.begin:.4g} of the load; steps that failed: {history}; the last: {why}"
+            )
         return replace(self, length=length, refused=refused)
-
-
-def in_steps(
-    state: State,
-    advance: Callable[[State, float, float], tuple[State | None, int]],
-    *,
-    steps: int,
-    smallest: float = 1e-3,
-    easy: int = 4,
-) -> tuple[State, Sequence[LoadStep]]:
-    """Return the state under the whole load, and the steps that led there. Collective if `advance` is.
-
-    advance(state, begin, end) gives the state at part `end` of the load, None where it finds none, and its Newton iterations.
-    Steps are 1/`steps` of the load; one without a state is halved, and after one of at most `easy` iterations the next is half
-    as long again, up to the first length. InputError for no number of steps; SolverError where a step below `smallest` fails.
-    """
-    loads, tried = Loads(steps, smallest, easy), []
-    while loads.begin < 1:
-        found, iterations = advance(state, loads.begin, loads.end)
-        tried.append(LoadStep(loads.begin, loads.end, found is not None, iterations))
-        if found is None:
-            loads = loads.cut()
-        else:
-            state, loads = found, loads.taken(iterations)
-    return state, tried

@@ -70,7 +70,7 @@ def require_inside(columns: Columns, mesh: Mesh, load: float) -> None:
     if len(bad):
         n = bad[0]
         why = "lies outside the mesh" if out[n] else "is turned inside out"
-        at = ", ".join(f"{x:.6g}" for x in place[n])
+        at = ", ".join(f"{x:.6g}" for x in given[n])
         what = (
             f"point {columns['id'][n]} at ({at}) m with det F = {j[n]:.4g} {why} at {load:.4g} of the load, as {len(bad)} do "
             "on a rank; take smaller steps, or enlarge the domain"

@@ -33,6 +33,7 @@ def quantities(scene: Scene) -> Sequence[Quantity]:
         "dissipated",
         *(f"dissipated_{name}" for name in scene.materials),
         "gap",  # work less what is stored and dissipated
+        "unbalanced",  # of that, what forces out of balance let go: those of points on a new mesh, where elements change
     ]
     return (
         Quantity("step", counts=True),
@@ -90,37 +91,40 @@ def measure(
     """
     scene, there, u = plan.scene, state.placed, settled.displacement
     mesh, solid = there.mesh, settled.solid
-    _, values = held_by(scene, mesh, loads.begin, loads.end)
+    fixed, values = held_by(scene, mesh, loads.begin, loads.end)
     loaded = [body_force(there, plan.densities, scene.gravity, load) for load in (loads.begin, loads.end)]
     held = [there.solid.respond(0 * u).force - loaded[0], solid.respond(u).force - loaded[1]]
     mean = (held[0] + held[1]) / 2
     of_floor = there.floor.respond(u).force if there.floor is not None else np.zeros_like(u)
-    faces = {name: (AXES.index(name[0]), nodes_of(mesh, AXES.index(name[0]), SIDES.index(name[2:]))) for name in FACES}
-    sums = [held[1][on, axis].sum() for axis, on in faces.values()]
-    sums += [np.abs(held[1][on, axis]).sum() for axis, on in faces.values()]
-    sums += [np.abs(of_floor[on, axis]).sum() for axis, on in faces.values()]
-    sums += [(mean[on, axis] * values[on, axis]).sum() for axis, on in faces.values()]
-    sums += [((loaded[0] + loaded[1]) / 2 * u).sum()]
+    faces = [(AXES.index(name[0]), nodes_of(mesh, AXES.index(name[0]), SIDES.index(name[2:]))) for name in FACES]
     materials = len(scene.materials)
-    sums += list(_per_material(solid, solid.energies(u)[0], materials))
-    sums += list(_per_material(solid, solid.dissipation(settled.damage), materials))
-    total = plan.comm.allreduce(np.array(sums, dtype=np.float64))
-    force, sizes, floors, work, (by_gravity, *energies) = total[:6], total[6:12], total[12:18], total[18:24], total[24:]
-    stored, dissipated = energies[:materials], energies[materials:]
-    done = {f"work_{face}": float(value) for face, value in zip(FACES, work, strict=True)} | {
-        "work_gravity": float(by_gravity)
-    }
-    totals = {name: state.totals.get(name, 0.0) + value for name, value in done.items()}
+    total = _summed(
+        plan.comm,
+        force=[held[1][on, axis].sum() for axis, on in faces],
+        size=[np.abs(held[1][on, axis]).sum() for axis, on in faces],
+        floor=[np.abs(of_floor[on, axis]).sum() for axis, on in faces],
+        work=[
+            *((mean[on, axis] * values[on, axis]).sum() for axis, on in faces),
+            ((loaded[0] + loaded[1]) / 2 * u).sum(),
+        ],
+        unbalanced=[-(mean * u)[~fixed].sum()],
+        stored=_per_material(solid, solid.energies(u)[0], materials),
+        dissipated=_per_material(solid, solid.dissipation(settled.damage), materials),
+    )
+    stored, dissipated = total["stored"], total["dissipated"]
+    names = [*(f"work_{face}" for face in FACES), "work_gravity", "unbalanced"]
+    done = zip(names, [*total["work"], *total["unbalanced"]], strict=True)
+    totals = {name: state.totals.get(name, 0.0) + float(value) for name, value in done}
+    all_work = sum(totals[name] for name in names[:-1])
     newton = [one.iterations for one in report.equilibria]
     cg = [count for one in report.equilibria for count in one.gradients]
-    all_work = sum(totals.values())
     before, after = scene.extent(0.0), scene.extent(loads.end)
     shorter = (before[1] - before[0]) - (after[1] - after[0])
     row = {
         "load": loads.end,
         **{f"travel_{axis}": float(shorter[d]) for d, axis in enumerate(AXES)},
-        **{f"force_{face}": float(value) for face, value in zip(FACES, force, strict=True)},
-        "floor_share": float(floors.sum() / (sizes.sum() or 1)),
+        **{f"force_{face}": float(value) for face, value in zip(FACES, total["force"], strict=True)},
+        "floor_share": float(total["floor"].sum() / (total["size"].sum() or 1)),
         **totals,
         "work": all_work,
         "stored": float(sum(stored)),
@@ -131,12 +135,19 @@ def measure(
         "damage_growth": report.growth,
         "turns": report.turns,
         "newton_iterations": sum(newton),
-        "newton_most": max(newton),
+        "newton_most": report.most_iterations,
         "cg_iterations": sum(cg),
         "cg_most": max(cg, default=0),
         "residual": report.residuals[-1],
     }
     return row, totals
+
+
+def _summed(comm: MPI.Comm, **parts: Sequence[float] | np.ndarray) -> dict[str, np.ndarray]:
+    """The sums over ranks of several numbers each. Collective."""
+    total = comm.allreduce(np.concatenate([np.asarray(one, dtype=np.float64) for one in parts.values()]))
+    ends = np.cumsum([len(one) for one in parts.values()])
+    return dict(zip(parts, np.split(total, ends[:-1]), strict=True))
 
 
 def _per_material(solid: Solid, density: np.ndarray, count: int) -> np.ndarray:

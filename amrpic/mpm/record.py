@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import TracebackType
 
 from mpi4py import MPI
@@ -75,32 +75,29 @@ class Recorder:
                 self._series.append(row)
             self._log.step(row)
             output = self._scene.output
-            if output.fields_every and state.step % output.fields_every == 0:
-                self._write_fields(state)
-            if output.points_every and state.step % output.points_every == 0:
-                self._write_points(state)
-            if output.checkpoint_every and state.step > 0 and state.step % output.checkpoint_every == 0:
-                self._write_checkpoint(state)
+            every = {"fields": output.fields_every, "points": output.points_every}
+            every |= {"checkpoint": output.checkpoint_every if state.step > 0 else 0}
+            self._write(state, [kind for kind, steps in every.items() if steps and state.step % steps == 0])
             self._status.says([], self._log.warned)
             self._status.step(row, self._log.pace, 0.0, self._written)
 
     def end(self, state: State) -> None:
         """Write what the end of a run leaves."""
         with self._plan.clock("output"):
-            self._write_all(state)
+            self._write(state)
         if "pictures" in self._wanted:
             self._draw(state)
         self._ended(FINISHED)
 
     def stopped(self, state: State, reason: str) -> None:
         """Write what a run needs to go on later."""
-        self._write_checkpoint(state)
+        self._write(state, ["checkpoint"])
         self._log.warn(f"stopped at step {state.step}: {reason}; go on with --restart auto")
         self._ended(STOPPED, reason)
 
     def failed(self, state: State) -> None:
         """Write the last state of a run that can go no further."""
-        self._write_all(state)
+        self._write(state)
 
     def _ended(self, how: str, why: str = "") -> None:
         self._status.says([], self._log.warned)
@@ -121,21 +118,15 @@ class Recorder:
             "memory": self._comm.allreduce(peak_memory(), MPI.MAX),
         }
 
-    def _due(self, kind: str, state: State) -> bool:
-        """Whether a kind of output is wanted of a state, and not written yet."""
-        if kind not in self._wanted or self._written.get(kind) == state.step:
-            return False
-        self._written[kind] = state.step
-        return True
-
-    def _write_all(self, state: State) -> None:
-        self._write_fields(state)
-        self._write_points(state)
-        self._write_checkpoint(state)
+    def _write(self, state: State, kinds: Sequence[str] = ("fields", "points", "checkpoint")) -> None:
+        """Write files of these kinds of a state, if they are wanted and not written yet."""
+        writers = {"fields": self._write_fields, "points": self._write_points, "checkpoint": self._write_checkpoint}
+        for kind in kinds:
+            if kind in self._wanted and self._written.get(kind) != state.step:
+                self._written[kind] = state.step
+                writers[kind](state)
 
     def _write_fields(self, state: State) -> None:
-        if not self._due("fields", state):
-            return
         directory = self._scene.directory
         path = vtkhdf_writer.path_of(directory, state.step)
         vtkhdf_writer.write(
@@ -150,8 +141,6 @@ class Recorder:
         vtkhdf_writer.list_time(self._comm, directory, state.step, state.load)
 
     def _write_points(self, state: State) -> None:
-        if not self._due("points", state):
-            return
         directory, kind = self._scene.directory, points_writer.KIND
         path = vtkhdf_writer.path_of(directory, state.step, kind)
         values, units = point_values(state)
@@ -162,8 +151,6 @@ class Recorder:
         vtkhdf_writer.list_time(self._comm, directory, state.step, state.load, kind)
 
     def _write_checkpoint(self, state: State) -> None:
-        if not self._due("checkpoint", state):
-            return
         if self._series is not None:
             self._series.sync()  # a restart from the checkpoint relies on the rows before it
         directory, output = self._scene.directory, self._scene.output

@@ -12,7 +12,7 @@ from pydantic import BeforeValidator, Field, WithJsonSchema, model_validator
 
 from ..errors import HierarchyError
 from ..fem.mesh import DEGREES
-from ..mesh.domain import AXES, Domain
+from ..mesh.domain import Domain
 from ..scene.any_scene import AnyScene
 from ..scene.complaints import complaint
 from ..scene.output import Files
@@ -87,8 +87,9 @@ class LoadSection(Section):
         default=0.1,
         gt=0,
         le=1,
-        description="The damage of a point may grow by so much in a step, lengths of steps follow from it. Those down to a "
-        "sixteenth of 1/steps may break more: a crack that runs through at once does so in any step. 1: as much as will.",
+        description="The damage of a point may grow by so much in a step, by a quarter of it in the first; lengths of steps "
+        "follow. Those down to a sixteenth of 1/steps may break more: a crack that runs through at once does so in any step. "
+        "1: as much as will.",
     )
 
     @property
@@ -230,13 +231,12 @@ class Scene(AnyScene):
         self._require_materials()
         if all(face.kind == "free" for pair in self.faces.values() for face in pair):
             raise complaint("hold nothing, so the body can go anywhere", 'make one "slip" or "clamped"', path="faces")
-        for axis, name in enumerate(AXES):
-            if all(
-                face.kind == "free" or (face.kind == "slip" and a != axis) for a, pair in self._pairs() for face in pair
-            ):
+        clamped = any(face.kind == "clamped" for pair in self.faces.values() for face in pair)
+        for axis, pair in self.faces.items():
+            if not clamped and all(face.kind == "free" for face in pair):
                 raise complaint(
-                    f"let the body go along {name}",
-                    f'make one of {name} "slip", or any "clamped"',
+                    f"let the body go along {axis}",
+                    f'make one of {axis} "slip", or any "clamped"',
                     path="faces",
                     found="",
                 )
@@ -252,9 +252,6 @@ class Scene(AnyScene):
                     found=material.damage.length,
                 )
         return self
-
-    def _pairs(self) -> list[tuple[int, tuple[Face, Face]]]:
-        return [(AXES.index(axis), pair) for axis, pair in self.faces.items()]
 
     def _require_materials(self) -> None:
         for path, name in self.structure.names(list(self.materials)):
@@ -286,7 +283,7 @@ class Scene(AnyScene):
         """Return the corners of the mesh at a part of the load, each (3,) in m."""
         lower, upper = np.array(self.domain.lower), np.array(self.domain.upper)
         length = upper - lower
-        for axis, (low, high) in self._pairs():
+        for axis, (low, high) in enumerate(self.faces.values()):
             lower[axis] -= load * low.change * length[axis]
             upper[axis] += load * high.change * length[axis]
         return lower, upper

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from ..errors import ParticleError
+from ..errors import ParticleError, SolverError
 from .carry import moved
 from .conditions import body_force, even_motion, held_by
 from .damage import DamageReport, Settled, settle
@@ -27,16 +27,20 @@ def begin(plan: Plan) -> State:
 def advance(state: State, plan: Plan) -> State:
     """Return the state one load step later; a step without equilibrium, or after which points leave the mesh, is halved.
 
-    Collective; SolverError on all ranks if even the smallest step fails.
+    Collective; SolverError on all ranks if even the smallest step fails, with the reason.
     """
-    loads, cuts = state.loads, 0
-    while (found := _taken(state, loads, plan)) is None:
-        loads, cuts = loads.cut(), cuts + 1
-    settled, report, there, came = found
+    loads, cuts, points = state.loads, 0, state.placed.points
+    while True:
+        try:
+            settled, report = _equilibrium(state, loads, plan)
+            after = moved(settled.solid, settled.displacement, state.placed.body, points.initial_volume)
+            there, came = put(after.columns(), plan, loads.end)
+            break
+        except (SolverError, ParticleError) as why:  # a large step may fold the mesh between points: some are outside
+            loads, cuts = loads.cut(str(why)), cuts + 1
     measured, totals = measure(state, loads, settled, report, plan)
     measured |= {"cuts": cuts, "changed_rank": plan.comm.allreduce(came)} | at_rest(there, plan)
-    after = loads.taken(max(one.iterations for one in report.equilibria), report.growth)
-    return State(state.step + 1, after, there, totals, measured)
+    return State(state.step + 1, loads.taken(report.most_iterations, report.growth), there, totals, measured)
 
 
 def put(columns: Columns, plan: Plan, load: float) -> tuple[Placed, int]:
@@ -53,25 +57,8 @@ def put(columns: Columns, plan: Plan, load: float) -> tuple[Placed, int]:
         return placed(there, mesh, plan.materials, scene.points.weights, scene.floor_stiffness), came
 
 
-def _taken(state: State, loads: Loads, plan: Plan) -> tuple[Settled, DamageReport, Placed, int] | None:
-    """Return the equilibrium at the end of a step, and where points are then, as `put` has it; None if it fails. Collective.
-
-    A step may be so large that the mesh folds between points, and puts some of them outside.
-    """
-    found = _equilibrium(state, loads, plan)
-    if found is None:
-        return None
-    settled, report = found
-    points = state.placed.points
-    columns = moved(settled.solid, settled.displacement, state.placed.body, points.initial_volume).columns()
-    try:
-        return settled, report, *put(columns, plan, loads.end)
-    except ParticleError:
-        return None
-
-
-def _equilibrium(state: State, loads: Loads, plan: Plan) -> tuple[Settled, DamageReport] | None:
-    """Return where forces balance at the end of a step, None if that was not found. Collective."""
+def _equilibrium(state: State, loads: Loads, plan: Plan) -> tuple[Settled, DamageReport]:
+    """Return where forces balance at the end of a step. Collective; SolverError on all ranks if that is not found."""
     scene, there = plan.scene, state.placed
     fixed, values = held_by(scene, there.mesh, loads.begin, loads.end)
     with plan.clock("equilibrium"):
@@ -88,4 +75,6 @@ def _equilibrium(state: State, loads: Loads, plan: Plan) -> tuple[Settled, Damag
             most_iterations=scene.solver.iterations,
             coarse=scene.solver.coarse,
         )
-    return (settled, report) if report.converged else None
+    if not report.converged:
+        raise SolverError(report.reason)
+    return settled, report

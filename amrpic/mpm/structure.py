@@ -48,7 +48,14 @@ class Cuboid(Section):
         return np.asarray(inside.all(axis=1))
 
 
-class Regions(Section):
+class Structure(Section):
+    """What all kinds of structure have."""
+
+    def check(self) -> None:
+        """Raise SceneError as `labels` does."""
+
+
+class Regions(Structure):
     """One material with others in it."""
 
     kind: Literal["regions"] = "regions"
@@ -65,9 +72,6 @@ class Regions(Section):
         for number, region in enumerate(self.regions):
             yield f"regions.{number}.material", region.material
 
-    def check(self) -> None:
-        """Nothing outside the scene is needed."""
-
     def labels(self, places: np.ndarray, corners: Corners, materials: Sequence[str]) -> np.ndarray:
         """Return the number of the material at each place (n, 3) in m, (n,); -1 where there is none. Local."""
         number = _numbers(materials)
@@ -77,7 +81,7 @@ class Regions(Section):
         return out
 
 
-class Voronoi(Section):
+class Voronoi(Structure):
     """Grains that grew from random seeds until joints of binder were left between them, with round voids in them."""
 
     kind: Literal["voronoi"] = "voronoi"
@@ -96,9 +100,6 @@ class Voronoi(Section):
         yield from (("grain", self.grain), ("binder", self.binder))
         if self.voids > 0:
             yield "void", self.void
-
-    def check(self) -> None:
-        """Nothing outside the scene is needed."""
 
     def labels(self, places: np.ndarray, corners: Corners, materials: Sequence[str]) -> np.ndarray:
         """Return the number of the material at each place (n, 3) in m, (n,); -1 where there is none. Local."""
@@ -122,7 +123,7 @@ class Voronoi(Section):
         return out
 
 
-class Voxels(Section):
+class Voxels(Structure):
     """Labels of voxels from a file, that fill the domain."""
 
     kind: Literal["voxels"] = "voxels"

@@ -135,3 +135,15 @@ def test_a_load_beyond_the_smallest_step_leaves_its_last_state(comm, tmp_path):
         simulation_of(comm, scene).run(log="silent")
     again = mpm.Simulation.restart(comm, tmp_path / "run" / "checkpoint_00000000")
     assert again.state.load == 0 and (tmp_path / "run" / "points_00000000.vtkhdf").exists()
+
+
+@pytest.mark.mpi(ranks=2)
+def test_a_point_that_no_step_keeps_in_the_mesh_is_named(comm, tmp_path):
+    """The block widens beyond its free face, however short a step is."""
+    output = f'output.directory="{tmp_path}/run"'
+    scene = given('faces.x=["slip","free"]', output, "schedule.smallest=0.1", "schedule.steps=2")
+    history = "no equilibrium beyond 0 of the load; steps that failed: 0 to 0.5, 0 to 0.25, 0 to 0.125; the last: "
+    point = r"point \d+ at \(1\.\d+, 0\.\d+, 0\.\d+\) m with det F = 0\.\d+ lies outside the mesh at 0.125 of the load"
+    with pytest.raises(SolverError, match=history + point) as ended:
+        simulation_of(comm, scene).run(log="silent")
+    assert len(set(comm.allgather(str(ended.value)))) == 1

@@ -10,7 +10,6 @@ from mpi4py import MPI
 
 from amrpic import fem, mpm
 from amrpic.errors import InputError, SolverError
-from amrpic.mpm.loads import Loads
 
 TOUGHNESS = 60.0
 
@@ -75,24 +74,19 @@ def test_a_bar_pulled_apart_breaks_in_its_weak_middle_and_keeps_its_energy():
     end = mesh.node_indices[:, 0] == 16
     fixed = np.stack([end | (mesh.node_indices[:, 0] == 0), *(mesh.node_indices[:, d] == 0 for d in (1, 2))], axis=1)
     forces, work, pull = [0.0], 0.0, 40e-6
-
-    def advance(state, begin, to):
-        nonlocal work
-        now, u = state
-        values = np.zeros((len(mesh.nodes), 3))
-        values[end, 0] = to * pull
-        settled, report = mpm.settle(now, fixed=fixed, values=values, start=u, tolerance=1e-7, most_turns=300)
-        if not report.converged:
-            return None, 0
-        after = settled.solid.respond(settled.displacement).force[end, 0].sum()
-        work += (forces[-1] + after) / 2 * (to - begin) * pull
-        forces.append(after)
-        dissipated.append((settled.solid.dissipated(settled.damage), report.equilibria[-1].energy, work))
-        return (settled.solid, settled.displacement), max(r.iterations for r in report.equilibria)
-
+    broken, u, loads = solid, np.zeros((len(mesh.nodes), 3)), mpm.Loads(steps=20)
     dissipated: list[tuple[float, float, float]] = []
-    (broken, _), steps = mpm.in_steps((solid, np.zeros((len(mesh.nodes), 3))), advance, steps=20)
-    assert all(step.taken for step in steps)
+    while loads.begin < 1:
+        values = np.zeros((len(mesh.nodes), 3))
+        values[end, 0] = loads.end * pull
+        settled, report = mpm.settle(broken, fixed=fixed, values=values, start=u, tolerance=1e-7, most_turns=300)
+        assert report.converged
+        broken, u = settled.solid, settled.displacement
+        after = broken.respond(u).force[end, 0].sum()
+        work += (forces[-1] + after) / 2 * (loads.end - loads.begin) * pull
+        forces.append(after)
+        dissipated.append((broken.dissipated(settled.damage), report.equilibria[-1].energy, work))
+        loads = loads.taken(report.most_iterations)
     assert forces[-1] < 0.5 * max(forces)
     middle = np.abs(broken.points.position[:, 0] - 2e-3) < 0.5e-3
     assert broken.damage[middle].max() > 0.9 > broken.damage[~middle].max()
@@ -102,40 +96,40 @@ def test_a_bar_pulled_apart_breaks_in_its_weak_middle_and_keeps_its_energy():
 
 @pytest.mark.parametrize("fails_at", [0.31, 0.77])
 def test_steps_are_halved_where_there_is_no_state_and_grow_again(fails_at):
-    seen = []
-
-    def advance(state, begin, to):
-        seen.append(to)
-        easy = 2 if begin < fails_at else 6
-        return (None, 9) if to - begin > 0.06 and begin <= fails_at < to else (to, easy)
-
-    state, steps = mpm.in_steps(0.0, advance, steps=10)
-    assert state == 1.0 and steps[-1].end == 1.0
-    taken = [step for step in steps if step.taken]
-    assert taken[0].begin == 0 and all(a.end == b.begin for a, b in pairwise(taken))
-    assert any(not step.taken for step in steps)
-    lengths = [step.end - step.begin for step in taken]
+    loads, taken, cuts = mpm.Loads(steps=10), [(0.0, 0.0)], 0
+    while loads.begin < 1:
+        if loads.end - loads.begin > 0.06 and loads.begin <= fails_at < loads.end:
+            loads, cuts = loads.cut("no state was found"), cuts + 1
+        else:
+            taken.append((loads.begin, loads.end))
+            loads = loads.taken(iterations=2 if loads.begin < fails_at else 6)
+    assert cuts > 0 and all(a[1] == b[0] for a, b in pairwise(taken)) and taken[-1][1] == 1
+    lengths = [end - begin for begin, end in taken[1:]]
     assert max(lengths) <= 0.1 + 1e-12 and min(lengths) <= 0.05 + 1e-12
 
 
 def test_loads_without_a_state_end_with_their_history():
-    with pytest.raises(SolverError, match=r"no equilibrium beyond 0.5 of the load; steps that failed: 0.5 to 0.6"):
-        mpm.in_steps(0, lambda state, begin, to: (None, 9) if to > 0.5 else (state, 2), steps=10)
+    loads = mpm.Loads(steps=10, begin=0.5, smallest=0.03)
+    with pytest.raises(
+        SolverError, match=r"beyond 0.5 of the load; steps that failed: 0.5 to 0.6, 0.5 to 0.55; the last: why"
+    ):
+        loads.cut("not this").cut("why")
     with pytest.raises(InputError, match="give at least one, and a part of the load"):
-        mpm.in_steps(0, lambda state, begin, to: (state, 1), steps=0)
+        mpm.Loads(steps=0)
 
 
 def test_lengths_of_steps_follow_what_breaks_and_a_crack_at_once_is_one_step():
-    loads = Loads(steps=10, damage_step=0.2)
-    assert loads.most_growth == 0.2
+    loads = mpm.Loads(steps=10, damage_step=0.2)
+    assert loads.most_growth == 0.2 / 4 and loads.taken(9).most_growth == 0.2
     assert loads.taken(9, growth=0.1).length == pytest.approx(0.1)
     assert loads.taken(9, growth=0.19).length == pytest.approx(0.075)
     assert loads.taken(2, growth=0.3).length == pytest.approx(0.05)
     for _ in range(4):
-        loads = loads.cut()
-    assert loads.length == pytest.approx(0.1 / 16) and loads.most_growth == np.inf
+        loads = loads.cut("it breaks")
+    assert loads.length == pytest.approx(0.1 / 16) and loads.most_growth == 0.2 / 4
     after = loads.taken(2, growth=0.9)
     assert after.begin == loads.length == after.length  # no shorter for what broke
+    assert after.most_growth == np.inf
     assert after.taken(2, growth=0.01).length == pytest.approx(1.5 * after.length)
 
 

@@ -56,6 +56,18 @@ def test_confined_compression_has_the_stress_in_closed_form(degree, per_axis, la
 
 
 @pytest.mark.mpi(ranks=(1, 2))
+def test_a_slender_column_buckles(comm):
+    """Straight, it has more than three times the energy, and a tangent that is not positive."""
+    mesh = fem.Mesh(comm, 0, (1, 1, 10), (2, 2, 10), degree=2)
+    solid = mpm.Solid(fem.gauss(mesh), PLAIN)
+    ends = (mesh.node_indices[:, 2] == 0) | upper_face(mesh)
+    straight = np.zeros((len(mesh.nodes), 3))
+    straight[:, 2] = -0.15 * mesh.nodes[:, 2]
+    u, report = mpm.equilibrium(solid, fixed=ends, values=straight, start=straight)
+    assert report.converged and report.energy < 0.4 * solid.respond(straight).energy, report
+
+
+@pytest.mark.mpi(ranks=(1, 2))
 def test_ranks_press_alike(comm):
     found = confined(comm, PLAIN, 1, lambda mesh: fem.jittered(mesh, 4), 5)
     assert found.axial == pytest.approx((exact_stress(PLAIN)[0],) * 2, rel=1e-8)

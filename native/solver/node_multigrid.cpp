@@ -15,6 +15,10 @@ std::vector<Real> free_of(std::vector<Real> inverse) {
 /// Of what the smoother damps: the corners of a high degree's elements hold a smaller part of its spectrum.
 Real lower_end(int degree) { return degree > 2 ? 0.06 : 0.1; }
 
+/// Of the largest eigenvalue with solves of uneven elements. It is about 10, and hundreds where the matrix of an
+/// element is hardly positive, near states that are not stable; what else there is would not be damped then.
+constexpr Real most_with_elements = 30;
+
 }  // namespace
 
 NodeMultigrid::NodeMultigrid(fem::Operator const& a, std::vector<Real> inverse, CornerCycle kind) : fine_(a) {
@@ -31,14 +35,18 @@ NodeMultigrid::NodeMultigrid(fem::Operator const& a, std::vector<Real> inverse, 
     // A corner is fixed if it is so as a node of the finer degree.
     corners_free_ = free_of(between_->at_corners(a.components(), inverse.data()));
     auto const apply = [this](std::vector<Real> const& x, std::vector<Real>& y) { fine_.apply(x.data(), y.data()); };
-    elements_ = std::make_unique<ElementSolves>(a, inverse);
-    if (elements_->elements() == 0) elements_.reset();
-    Chebyshev::Apply precondition = [this](std::vector<Real> const& r, std::vector<Real>& z) {
-      elements_->apply(r, z);
+    auto const smooth_with = [&](Chebyshev::Apply precondition) {
+      smoother_ =
+          std::make_unique<Chebyshev>(lattice->comm(), apply, std::move(precondition),
+                                      disordered(lattice->nodes(), a.components()), lower_end(lattice->degree()));
     };
-    if (!elements_) precondition = by_diagonal(std::move(inverse));
-    smoother_ = std::make_unique<Chebyshev>(lattice->comm(), apply, precondition,
-                                            disordered(lattice->nodes(), a.components()), lower_end(lattice->degree()));
+    elements_ = std::make_unique<ElementSolves>(a, inverse);
+    if (elements_->elements() > 0)
+      smooth_with([this](std::vector<Real> const& r, std::vector<Real>& z) { elements_->apply(r, z); });
+    if (!smoother_ || smoother_->largest_eigenvalue() > most_with_elements) {
+      smooth_with(by_diagonal(std::move(inverse)));
+      elements_.reset();
+    }
   }
   auto blocks = fem::node_blocks(coarse ? *coarse : a, corners_free_);
   if (kind == CornerCycle::aggregation)

@@ -439,7 +439,11 @@ void read_tiles(ParticleMesh& mesh, RemoteBricks const& remote, bool matched, El
       if (compensator) compensator->add_to_coarse(slot, r, c, tiles[r]);
     }
     Box const& box = hierarchy.level(at.level).box(at.box);
-    OccupiedRows const rows(box, mesh.locator().coordinates(at.level), particles, first, last);
+    // To search for the bricks with particles takes a fifth of a gather, so it is left out where nothing asks for them.
+    bool const interpolates = !places.ghosts(slot).coarse.empty();
+    OccupiedRows const rows = compensator || interpolates
+                                  ? OccupiedRows(box, mesh.locator().coordinates(at.level), particles, first, last)
+                                  : OccupiedRows(box);
     if (compensator) compensator->begin(slot, rows);
     Filler const filler(field, at, places.ghosts(slot), own, rows);
     bool precedes = false;  // whether tiles[0] is that of the slab before

@@ -10,6 +10,10 @@ namespace amrpic {
 
 namespace {
 
+/// Tolerances from which on solves of uneven elements are worth their factors. Newton's loose solves are not, and pass
+/// states that are hardly stable more easily without.
+constexpr Real tight = 1e-6;
+
 /// Reciprocals of the diagonal, zeros where unknowns are fixed. Collective.
 std::vector<Real> inverse_diagonal(fem::Operator const& a, bool const* fixed) {
   auto out = a.diagonal();
@@ -37,9 +41,9 @@ NodeSolution solve_nodes(fem::Operator const& a, Real const* f, bool const* fixe
   };
   std::unique_ptr<NodeMultigrid> multigrid;
   if (preconditioner == NodePreconditioner::p_multigrid)
-    multigrid = std::make_unique<NodeMultigrid>(a, std::move(inverse), CornerCycle::halving);
+    multigrid = std::make_unique<NodeMultigrid>(a, std::move(inverse), CornerCycle::halving, tolerance <= tight);
   if (preconditioner == NodePreconditioner::p_multigrid_by_aggregates)
-    multigrid = std::make_unique<NodeMultigrid>(a, std::move(inverse), CornerCycle::aggregation);
+    multigrid = std::make_unique<NodeMultigrid>(a, std::move(inverse), CornerCycle::aggregation, tolerance <= tight);
   NodeSolution out;
   out.u.assign(n, 0);
   for (std::size_t i = 0; i < n; ++i)

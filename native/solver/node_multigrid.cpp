@@ -21,7 +21,8 @@ constexpr Real most_with_elements = 30;
 
 }  // namespace
 
-NodeMultigrid::NodeMultigrid(fem::Operator const& a, std::vector<Real> inverse, CornerCycle kind) : fine_(a) {
+NodeMultigrid::NodeMultigrid(fem::Operator const& a, std::vector<Real> inverse, CornerCycle kind, bool solves_elements)
+    : fine_(a) {
   for (Real value : inverse) fixed_.push_back(value == 0);
   auto const lattice = a.points().share_lattice();
   std::unique_ptr<fem::Operator> coarse;
@@ -40,8 +41,8 @@ NodeMultigrid::NodeMultigrid(fem::Operator const& a, std::vector<Real> inverse, 
           std::make_unique<Chebyshev>(lattice->comm(), apply, std::move(precondition),
                                       disordered(lattice->nodes(), a.components()), lower_end(lattice->degree()));
     };
-    elements_ = std::make_unique<ElementSolves>(a, inverse);
-    if (elements_->elements() > 0)
+    if (solves_elements) elements_ = std::make_unique<ElementSolves>(a, inverse);
+    if (elements_ && elements_->elements() > 0)
       smooth_with([this](std::vector<Real> const& r, std::vector<Real>& z) { elements_->apply(r, z); });
     if (!smoother_ || smoother_->largest_eigenvalue() > most_with_elements) {
       smooth_with(by_diagonal(std::move(inverse)));

@@ -18,8 +18,9 @@ enum class CornerCycle { halving, aggregation };
 /// iteration smooths, with the diagonal and, at nodes of uneven elements, solves of these.
 class NodeMultigrid {
  public:
-  /// `inverse`: of the diagonal, zero where unknowns are fixed. Collective.
-  NodeMultigrid(fem::Operator const& a, std::vector<Real> inverse, CornerCycle kind);
+  /// `inverse`: of the diagonal, zero where unknowns are fixed. `solves_elements`: whether uneven ones are solved for.
+  /// Collective.
+  NodeMultigrid(fem::Operator const& a, std::vector<Real> inverse, CornerCycle kind, bool solves_elements);
 
   /// z near the solution of A z = r, zero where unknowns are fixed, as r must be. Collective.
   void apply(std::vector<Real> const& r, std::vector<Real>& z);

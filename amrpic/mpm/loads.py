@@ -9,9 +9,7 @@ from ..errors import InputError, SolverError
 
 FACTORS = (1.5, 1.0, 0.75, 0.5)  # of lengths of steps: few, so that rounding does not change them
 NEAR = 0.75  # part of what damage may grow by in a step, at which the next one is aimed
-AT_FIRST = (
-    0.25  # of that in the first step, where the mean of forces before and after it understates work by the damage
-)
+AT_FIRST = 0.25  # part of damage_step in the first step: there the mean of the forces at its ends understates work
 MOST_HALVINGS = 4  # of the first length, for the sake of damage: a crack that runs through at once does so in any step
 
 

@@ -164,11 +164,11 @@ def stage_time(stage: str, plan: Plan, machine: Machine, amounts: Amounts) -> Ti
     )
     messages, collectives = network_time(stage, plan, machine.network, amounts)
     if stage == "migrate":
-        messages -= hidden_time(plan, machine, amounts)
+        messages -= overlapped_time(plan, machine, amounts)
     return Time(seconds, messages, collectives)
 
 
-def hidden_time(plan: Plan, machine: Machine, amounts: Amounts) -> float:
+def overlapped_time(plan: Plan, machine: Machine, amounts: Amounts) -> float:
     """Return the seconds of a step, on average, in which particles pass between nodes while those that stay are deposited."""
     here = machine.network.ranks_per_node
     if plan.ranks <= here:

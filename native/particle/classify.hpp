@@ -50,7 +50,7 @@ struct Destinations {
   explicit Destinations(ParticleMesh const& mesh) : bricks(mesh) {}
 
   BrickNumbers bricks;
-  // all in the order of the particles' places, but for what `pack` makes of leavers
+  // each list in the order of the particles' places; `pack` sorts leavers by brick
   std::vector<Run> runs;
   Scratch<std::uint8_t> stays;               ///< for each eight particles, a bit for each that stayed
   std::vector<Mover> movers;                 ///< without those that came through a periodic face

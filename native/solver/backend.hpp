@@ -54,7 +54,7 @@ class Backend {
   /// E, -(1/s_d^2) d phi/dx_d (V/m); the potential must stay as it is.
   virtual ElectricField electric_field(std::shared_ptr<Field const> potential, CoveredField covered) = 0;
 
-  /// Over so many cycles in a row the factors of corrections reduce any error alike.
+  /// The period of the step lengths, in cycles. Only a whole period reduces all error components equally.
   virtual std::size_t steps_in_turn() const { return 1; }
 
   /// What wall potentials take beside the charge of cells, see FourthOrderField; nothing in second order.

@@ -66,10 +66,10 @@ def test_density_is_that_of_a_deposit_at_once_and_the_same_again(comm, shape, ma
             density, here, left = deposited(there, hierarchy, servers, clouds)
             again, *_ = deposited(there, hierarchy, servers, clouds)
             at_once = deposit(here, hierarchy, clouds)
-            near = {"rel": 0, "abs": 1e-13 * at_once.max_abs()}
+            rounding = 1e-13 * at_once.max_abs()
             for level in range(hierarchy.levels):
                 assert np.array_equal(density.array(level), again.array(level)), (case.name, of)
-                assert density.array(level) == pytest.approx(at_once.array(level), **near), (case.name, of)
+                assert density.array(level) == pytest.approx(at_once.array(level), rel=0, abs=rounding), (case.name, of)
             starts = here.sorted_on(hierarchy).starts
             came = np.diff(np.concatenate([[0], np.cumsum(~np.isin(here.id, particles.id))])[starts])
             waiting = np.diff(starts)[came > 0].sum()  # if all of a box did that some come to

@@ -34,7 +34,7 @@ def use_default() -> None:
         return values
 
     SolverOptions.native_values = with_default  # type: ignore[method-assign]
-    Scene.to_dict = without_what_is_not_named  # type: ignore[method-assign]
+    Scene.to_dict = without_what_is_not_named  # type: ignore[method-assign, assignment]
     Clouds.native = property(lambda clouds: (SHAPES[clouds.shape], clouds.matched, DEFAULT == "kokkos"))  # type: ignore[assignment]
 
 

@@ -94,17 +94,9 @@ void CompositeGhosts::fill_interface(int l, int b, int axis, int side, Field con
     Real* flux = fluxes_.row(l, i, row);
     fit_row(fits, i.nu, coarse_.data() + i.margin + (i.margin + row) * coarse_pitch, coarse_pitch, star,
             star + 2 * i.nu);
-    for (int m = 0; m < i.nu && in_gap; ++m) {
-      if (fits[m] != fit_in_gap) continue;
-      Index3 middle = behind;
-      middle[u] += m, middle[v] += row;
-      FourStars<Real> stars{};
-      for (auto const& term : (*in_gap)->terms)
-        add_to_stars(stars, term.weight,
-                     term.fine ? window_(first_child_of(middle), term) : coarse_window_(middle, term));
-      for (int a = 0; a < 2; ++a)
-        star[2 * m + a] = stars[0][std::size_t(a)], star[2 * (i.nu + m) + a] = stars[1][std::size_t(a)];
-      ++in_gap;
+    if (in_gap) {
+      in_gap = fit_in_gaps(in_gap, fits, i.nu, u, behind, star, star + 2 * i.nu);
+      ++behind[v];
     }
     for_each_run(fits, i.nu, [&](int start, int count, FitNumber) {
       std::fill_n(flux + start, count, 0.0);
@@ -123,6 +115,21 @@ void CompositeGhosts::fill_interface(int l, int b, int axis, int side, Field con
       }
     });
   }
+}
+
+/// phi* of the ghosts in gaps in front of a row of coarse cells from `cell` on, by the row's fits in gaps, of which the
+/// first is at `in_gap`; the first one of the next row.
+GapFit const* const* CompositeGhosts::fit_in_gaps(GapFit const* const* in_gap, FitNumber const* fits, int count, int u,
+                                                  Index3 cell, Real* lower_row, Real* upper_row) const {
+  for (int m = 0; m < count; ++m, ++cell[u]) {
+    if (fits[m] != fit_in_gap) continue;
+    FourStars<Real> stars{};
+    for (auto const& term : (*in_gap)->terms)
+      add_to_stars(stars, term.weight, term.fine ? window_(first_child_of(cell), term) : coarse_window_(cell, term));
+    std::copy_n(stars[0].data(), 2, lower_row + 2 * m), std::copy_n(stars[1].data(), 2, upper_row + 2 * m);
+    ++in_gap;
+  }
+  return in_gap;
 }
 
 void CompositeGhosts::fill_windows(int l, Gaps const& gaps, Field const& phi) {

@@ -30,13 +30,22 @@ class CompositeGhosts {
   void for_each_refined(int l, int b, int k, Real const* phi, F&& f) const {
     Box const& own = mesh_.box(l, b);
     Index3 const pitch = pitches(own);
-    fluxes_.for_each_refined(l, b, k, [&](RefinedSide const& r, Index3 const& cell, std::ptrdiff_t at, Real flux) {
+    fluxes_.for_each_refined_side(l, b, [&](RefinedSide const& r, Real const* fluxes) {
+      if (k < r.cells.lower[2] || k > r.cells.upper[2]) return;
       auto const [u, v] = tangential_axes(r.axis);
       int const layer = r.cells.lower[r.axis];
       bool const inside = r.side == 0 ? layer > 0 : layer + 1 < own.extent(r.axis);
-      Real const covered = inside ? phi[at + (r.side == 0 ? -pitch[r.axis] : pitch[r.axis])]
-                                  : ghosts(r.axis, r.side)[cell[u] + std::ptrdiff_t(cell[v]) * own.extent(u)];
-      f(at, r.axis, r.side, fine_face_weight * flux - (covered - phi[at]));
+      std::ptrdiff_t const outward = r.side == 0 ? -pitch[r.axis] : pitch[r.axis];
+      Real const* const beyond = ghosts(r.axis, r.side);
+      Index3 cell{0, 0, k};
+      for (cell[1] = r.cells.lower[1]; cell[1] <= r.cells.upper[1]; ++cell[1])
+        for (cell[0] = r.cells.lower[0]; cell[0] <= r.cells.upper[0]; ++cell[0]) {
+          std::ptrdiff_t const at = cell[0] + std::ptrdiff_t(cell[1]) * pitch[1] + std::ptrdiff_t(k) * pitch[2];
+          Real const flux = fluxes[std::ptrdiff_t(cell[u] - r.cells.lower[u]) * r.fluxes.pu +
+                                   std::ptrdiff_t(cell[v] - r.cells.lower[v]) * r.fluxes.pv];
+          Real const covered = inside ? phi[at + outward] : beyond[cell[u] + std::ptrdiff_t(cell[v]) * own.extent(u)];
+          f(at, r.axis, r.side, fine_face_weight * flux - (covered - phi[at]));
+        }
     });
   }
 
@@ -46,6 +55,8 @@ class CompositeGhosts {
   void fill(int l, int b, Field const& phi, Walls const& walls);
   void fill_wall(int l, int b, int axis, int side, Real const* phi, Real const* data);
   void fill_interface(int l, int b, int axis, int side, Field const& phi);
+  GapFit const* const* fit_in_gaps(GapFit const* const* in_gap, FitNumber const* fits, int count, int u, Index3 cell,
+                                   Real* lower_row, Real* upper_row) const;
   void fill_windows(int l, Gaps const& gaps, Field const& phi);
 
   CompositeMesh& mesh_;

@@ -33,8 +33,10 @@ inline void for_each_part(std::ptrdiff_t first, std::ptrdiff_t last, F&& f) {
 
 /// f - L phi of the cells [first, last) of a run; those at the ends of rows take what memory holds beside them
 /// for their neighbours along x. So the loop has whole vectors, and the ends are put right afterwards.
-inline void residual_run(Residual const& formula, std::ptrdiff_t first, std::ptrdiff_t last, Real const* c,
-                         Neighbours const& n, Real const* __restrict rho, Real* __restrict out) {
+/// Not inlined: within a longer function the pointers of the loop do not stay in registers.
+[[gnu::noinline]] inline void residual_run(Residual const& formula, std::ptrdiff_t first, std::ptrdiff_t last,
+                                           Real const* c, Neighbours const& n, Real const* __restrict rho,
+                                           Real* __restrict out) {
   Real const *ym = n.ym, *yp = n.yp, *zm = n.zm, *zp = n.zp;
   Residual const f = formula;
   for_each_part(first, last, [&](std::ptrdiff_t begin, std::ptrdiff_t end) {

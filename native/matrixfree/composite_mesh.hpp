@@ -103,18 +103,18 @@ class CompositeMesh {
   /// Round scale times a plane of cells into plane k of a block.
   template <class T>
   void write_plane(int l, int b, int k, Real const* plane, Real scale, Block<T> const& out) const {
-    write_plane(l, b, k, plane, scale, out, [](Real const*, int) {});
+    write_plane(l, b, k, plane, scale, out, [](Real const*, std::ptrdiff_t) {});
   }
-  /// The same after take(cells, count) of each row.
+  /// The same after take(cells, count) of parts of the plane: whole rows, as many as the nearest cache keeps.
   template <class T, class Take>
   void write_plane(int l, int b, int k, Real const* plane, Real scale, Block<T> const& out, Take&& take) const {
-    int const nx = box(l, b).extent(0);
-    for (int j = 0; j < box(l, b).extent(1); ++j) {
-      Real const* __restrict from = plane + std::ptrdiff_t(j) * nx;
-      T* __restrict to = out.origin + j * out.pitch_y + k * out.pitch_z;
-      fetch<Use::write>(to + out.pitch_z, nx);  // rows of a box lie far apart in vectors of the cycle
-      take(from, nx);
-      for (int i = 0; i < nx; ++i) to[i] = T(scale * from[i]);
+    constexpr int kept = 2048;
+    int const nx = box(l, b).extent(0), ny = box(l, b).extent(1), rows = std::max(1, kept / nx);
+    for (int first = 0; first < ny; first += rows) {
+      int const count = std::min(ny - first, rows);
+      Real const* const from = plane + std::ptrdiff_t(first) * nx;
+      take(from, std::ptrdiff_t(count) * nx);
+      write_rows(from, nx, count, scale, out.origin + first * out.pitch_y + k * out.pitch_z, out);
     }
   }
   /// Zeros into all planes of a block.
@@ -126,6 +126,17 @@ class CompositeMesh {
   }
 
  private:
+  /// Not inlined, so that the loop's pointers and factor stay in registers.
+  template <class T>
+  [[gnu::noinline]] static void write_rows(Real const* __restrict from, int nx, int rows, Real scale, T* __restrict to,
+                                           Block<T> const& block) {
+    std::ptrdiff_t const pitch = block.pitch_y, next = block.pitch_z;
+    for (; rows > 0; --rows, from += nx, to += pitch) {
+      fetch<Use::write>(to + next, nx);  // rows of a box lie far apart in vectors of the cycle
+      for (int i = 0; i < nx; ++i) to[i] = T(scale * from[i]);
+    }
+  }
+
   std::shared_ptr<Hierarchy const> hierarchy_;
   Real shift_;
   Real3 stretch_;

@@ -187,18 +187,9 @@ Real CompositeResidual::residual(Source const& source, Field const& phi, Norm no
                                  Blocks<T> const& residual) {
   Magnitude magnitude(norm);
   visit(phi, source.walls, [&](int l, int b) {
-    std::ptrdiff_t const cells = std::ptrdiff_t(mesh_.box(l, b).extent(0)) * mesh_.box(l, b).extent(1);
     for (int k = 0; k < mesh_.box(l, b).extent(2); ++k) {
       residual_plane(l, b, k, source, phi);
-      auto const& out = residual[std::size_t(l)][std::size_t(b)];
-      Real const factor = scale[std::size_t(l)];
-      if (norm == Norm::max) {  // a plane may be more than the nearest cache holds
-        mesh_.write_plane(l, b, k, plane_.data(), factor, out,
-                          [&](Real const* row, int n) { magnitude.add(row, n, mesh_.volume(l)); });
-        continue;
-      }
-      magnitude.add(plane_.data(), cells, mesh_.volume(l));
-      mesh_.write_plane(l, b, k, plane_.data(), factor, out);
+      write_plane(l, b, k, scale, residual, magnitude);
     }
   });
   clear_fully_covered(residual);
@@ -208,6 +199,14 @@ template Real CompositeResidual::residual(Source const&, Field const&, Norm, std
                                           Blocks<float> const&);
 template Real CompositeResidual::residual(Source const&, Field const&, Norm, std::vector<Real> const&,
                                           Blocks<Real> const&);
+
+/// A plane of residuals, times the scale of its level, after its part of a norm is taken.
+template <class T>
+void CompositeResidual::write_plane(int l, int b, int k, std::vector<Real> const& scale, Blocks<T> const& residual,
+                                    Magnitude& magnitude) const {
+  mesh_.write_plane(l, b, k, plane_.data(), scale[std::size_t(l)], residual[std::size_t(l)][std::size_t(b)],
+                    [&](Real const* cells, std::ptrdiff_t count) { magnitude.add(cells, count, mesh_.volume(l)); });
+}
 
 /// Zeros into the boxes without uncovered cells.
 template <class T>
@@ -234,11 +233,7 @@ Real CompositeResidual::residual_of_zero(Source const& source, Norm norm, std::v
                                          Blocks<T> const& residual) {
   Magnitude magnitude(norm);
   for_each_plane([&](int l, int b, int k) { right_hand_side_plane(l, b, k, source); },
-                 [&](int l, int b, int k, std::ptrdiff_t n) {
-                   magnitude.add(plane_.data(), n, mesh_.volume(l));
-                   mesh_.write_plane(l, b, k, plane_.data(), scale[std::size_t(l)],
-                                     residual[std::size_t(l)][std::size_t(b)]);
-                 });
+                 [&](int l, int b, int k, std::ptrdiff_t) { write_plane(l, b, k, scale, residual, magnitude); });
   clear_fully_covered(residual);
   return magnitude.over(mesh_.comm());
 }

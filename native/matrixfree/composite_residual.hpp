@@ -57,6 +57,9 @@ class CompositeResidual {
 
  private:
   template <class T>
+  void write_plane(int l, int b, int k, std::vector<Real> const& scale, Blocks<T> const& residual,
+                   Magnitude& magnitude) const;
+  template <class T>
   void clear_fully_covered(Blocks<T> const& blocks);
   template <class Fill, class Use>
   void for_each_plane(Fill&& fill, Use&& use);

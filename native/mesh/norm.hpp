@@ -24,12 +24,14 @@ class Largest {
   static constexpr int lanes = 16;  // side by side, so that none waits for another
 
   void add(T const* values, std::ptrdiff_t n) {
-    Bits largest[lanes] = {};
     std::ptrdiff_t i = 0;
-    for (; i + lanes <= n; i += lanes)
-      for (int q = 0; q < lanes; ++q) largest[q] = std::max(largest[q], bits(values[i + q]));
-    for (; i < n; ++i) largest[0] = std::max(largest[0], bits(values[i]));
-    for (Bits part : largest) largest_ = std::max(largest_, part);
+    if (n >= lanes) {
+      Bits largest[lanes] = {};
+      for (; i + lanes <= n; i += lanes)
+        for (int q = 0; q < lanes; ++q) largest[q] = std::max(largest[q], bits(values[i + q]));
+      for (Bits part : largest) largest_ = std::max(largest_, part);
+    }
+    for (; i < n; ++i) largest_ = std::max(largest_, bits(values[i]));
   }
   T value() const {
     T out;

@@ -18,7 +18,8 @@ from ..parallel import global_max, global_sum
 from .equilibrium import EquilibriumReport, equilibrium
 from .solid import Solid
 
-LINEAR_TOLERANCE = 1e-12
+OF_DAMAGE = 1e-4  # tolerance of the damage of nodes, over that of forces that it may move
+PAST = 5  # turns that the next one's damage is made of
 FIRST_WITHIN, WITHIN = 1e-2, 0.1  # tolerances of equilibrium in the first turn, and over what the last one left
 WEAK = (
     1e-3  # of the largest G/ℓ: what materials that do not break have of it, so that damage goes on smoothly into them
@@ -67,7 +68,12 @@ class _DamageOperator(Operator):
 
 
 def damage_field(
-    solid: Solid, driving: np.ndarray, *, fixed: ArrayLike | None = None, values: ArrayLike | float = 0.0
+    solid: Solid,
+    driving: np.ndarray,
+    *,
+    fixed: ArrayLike | None = None,
+    values: ArrayLike | float = 0.0,
+    tolerance: float = 1e-12,
 ) -> np.ndarray:
     """Return the damage of nodes (nodes,) for the largest driving energy of points, (n,) in J/m³. Collective.
 
@@ -90,9 +96,7 @@ def damage_field(
     empty = of_breaking.diagonal() <= 0
     held = np.where(mask, np.broadcast_to(values, mask.shape), 0.0)
     right = points.integrate(source / solid.j)
-    d, report = solve(
-        operator, right, fixed=mask | empty, values=held, preconditioner="jacobi", tolerance=LINEAR_TOLERANCE
-    )
+    d, report = solve(operator, right, fixed=mask | empty, values=held, preconditioner="jacobi", tolerance=tolerance)
     if not report.converged:
         raise SolverError(f"damage was not found in {report.iterations} iterations: {report.reason}")
     return d
@@ -126,8 +130,13 @@ def settle(
     now, breaks, growth = solid, solid.surface_and_length()[0] > 0, 0.0
     residuals: list[float] = []
     reports: list[EquilibriumReport] = []
+    past: list[tuple[np.ndarray, np.ndarray]] = []  # damage of nodes in a turn, and what it led to
     nodes = np.zeros(len(solid.mesh.node_indices))
-    for _ in range(most_turns):
+
+    def damaged(nodes: np.ndarray) -> Solid:
+        return solid.with_damage(breaks * np.clip(solid.points.values(nodes), 0, 1), driving)
+
+    for turn in range(most_turns):
         within = max(tolerance, min(FIRST_WITHIN, WITHIN * residuals[-1])) if residuals else FIRST_WITHIN
         u, report = equilibrium(now, fixed=fixed, tolerance=within, start=u, **conditions)
         reports.append(report)
@@ -135,12 +144,17 @@ def settle(
             residuals.append(report.residuals[-1] / (report.size or 1))
             break
         driving = np.maximum(solid.driving, now.energies(u)[1])
-        nodes = damage_field(solid, driving)
-        now = solid.with_damage(breaks * np.clip(solid.points.values(nodes), 0, 1), driving)
+        used, nodes = nodes, damage_field(solid, driving, tolerance=max(OF_DAMAGE * enough, 1e-12))
+        now = damaged(nodes)
         residuals.append(_apart(now, u, fixed, conditions.get("load")) / (report.size or 1))
         growth = global_max(solid.mesh.comm, float((now.damage - solid.damage).max(initial=0.0)))
         if residuals[-1] <= enough or growth > most_growth:
             break
+        if turn > 0:
+            past = [*past[-PAST:], (used, nodes)]
+        if len(past) > 1:
+            nodes = _mixed(solid, past)
+            now = damaged(nodes)
     assert isinstance(u, np.ndarray)
     converged = reports[-1].converged and residuals[-1] <= enough and growth <= most_growth
     if converged and residuals[-1] > tolerance:
@@ -149,6 +163,19 @@ def settle(
         now = now.with_damage(now.damage, np.maximum(solid.driving, now.energies(u)[1]))
         converged = report.converged
     return Settled(u, nodes, now), DamageReport(converged, len(residuals), residuals, reports, growth)
+
+
+def _mixed(solid: Solid, past: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """Damage of nodes for the next turn, by Anderson's method: of past ones, that mixture which changed least in its turn.
+
+    Collective.
+    """
+    used, led_to = np.array(past).transpose(1, 0, 2)
+    change = led_to - used
+    apart = change[:-1] - change[-1]
+    products = solid.mesh.comm.allreduce(apart @ np.vstack([apart, change[-1:]]).T)
+    weight = -np.linalg.lstsq(products[:, :-1], products[:, -1], rcond=1e-6)[0]
+    return np.asarray(led_to[-1] + weight @ (led_to[:-1] - led_to[-1]))
 
 
 def _apart(solid: Solid, u: np.ndarray, fixed: ArrayLike, load: ArrayLike | None) -> float:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from .. import _native
 from ..errors import SolverError
-from ..fem import Operator, Points, solve
+from ..fem import Kept, Operator, Points, solve
 from ..fem.points import mask_of
 from ..parallel import global_max, global_sum
 from .equilibrium import EquilibriumReport, equilibrium
@@ -127,6 +127,7 @@ def settle(
         u, report = equilibrium(solid, fixed=fixed, tolerance=tolerance, start=u, **conditions)
         nodes, last = np.zeros(len(solid.mesh.node_indices)), report.residuals[-1] / (report.size or 1)
         return Settled(u, nodes, solid), DamageReport(report.converged, 1, [last], [report])
+    conditions.setdefault("kept", Kept())
     now, breaks, growth = solid, solid.surface_and_length()[0] > 0, 0.0
     residuals: list[float] = []
     reports: list[EquilibriumReport] = []

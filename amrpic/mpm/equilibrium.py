@@ -85,7 +85,7 @@ def equilibrium(
             break
         if iteration == most_iterations:
             break
-        eta = linear_tolerance or _forcing(residuals[-1], before, 0.0 if moving else tolerance * size)
+        eta = linear_tolerance or _forcing(residuals[-1], before, tolerance * size)
         # Tangents hold 17 numbers a point: one at a time.
         step, linear = solved(solid.tangent(u, form), residual, values=jump, tolerance=eta)
         before = linear.residuals[0]
@@ -116,8 +116,10 @@ def equilibrium(
 
 def _forcing(residual: float, before: float | None, enough: float) -> float:
     """The tolerance of a linear solve: as the residual fell in the last iteration, and no lower than is of use."""
-    eta = min(LARGEST_FORCING, GAMMA * (residual / before) ** 2) if before else FIRST_FORCING
-    return max(eta, min(LARGEST_FORCING, 0.3 * enough / residual)) if residual > 0 else eta
+    if before is None or before == 0:
+        return FIRST_FORCING
+    eta = min(LARGEST_FORCING, GAMMA * (residual / before) ** 2)
+    return max(eta, min(LARGEST_FORCING, 0.3 * enough / residual))
 
 
 def _searched(

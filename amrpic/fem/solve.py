@@ -91,7 +91,13 @@ def solve(
     start = time.perf_counter()
     try:
         u, residuals, curved_down, native = operator.native.solve(
-            right, mask, held, _number(preconditioner, coarse), tolerance, most_iterations, kept.native if kept else None
+            right,
+            mask,
+            held,
+            _number(preconditioner, coarse),
+            tolerance,
+            most_iterations,
+            kept.native if kept else None,
         )
     except _native.SolverError as refused:
         raise SolverError(str(refused)) from None

@@ -19,7 +19,7 @@ from .equilibrium import EquilibriumReport, equilibrium
 from .solid import Solid
 
 OF_DAMAGE = 1e-4  # tolerance of the damage of nodes, over that of forces that it may move
-PAST = 5  # turns that the next one's damage is made of
+MOST_BEYOND = 4.0  # times what a turn changes damage by, that the next one's may be changed
 FIRST_WITHIN, WITHIN = 1e-2, 0.1  # tolerances of equilibrium in the first turn, and over what the last one left
 WEAK = (
     1e-3  # of the largest G/ℓ: what materials that do not break have of it, so that damage goes on smoothly into them
@@ -117,7 +117,8 @@ def settle(
 
     Displacement and damage are found in turns, each with the other as it is, until the forces that the displacement leaves with
     the damage that it leads to are within `damage_tolerance`, by default `tolerance`, of the size of all; then the displacement
-    is found once more, to `tolerance`. Before that it is found no better than of use. `conditions` and the rest are those of
+    is found once more, to `tolerance`. Before that it is found no better than of use. From the third turn on damage goes beyond
+    what the one before led to, up to four times as far, as far as the change from turn to turn suggests. `conditions` and the rest are those of
     `equilibrium`. The driving energy of points grows from what the solid had before, whatever turns pass through. Turns end
     without convergence where the damage of a point grows by more than `most_growth`. What was reached is returned, converged
     or not.
@@ -151,10 +152,9 @@ def settle(
         growth = global_max(solid.mesh.comm, float((now.damage - solid.damage).max(initial=0.0)))
         if residuals[-1] <= enough or growth > most_growth:
             break
-        if turn > 0:
-            past = [*past[-PAST:], (used, nodes)]
-        if len(past) > 1:
-            nodes = _mixed(solid, past)
+        past = [*past[-1:], (used, nodes)]
+        if turn > 1:
+            nodes = np.clip(_farther_on(solid, past), 0, 1)
             now = damaged(nodes)
     assert isinstance(u, np.ndarray)
     converged = reports[-1].converged and residuals[-1] <= enough and growth <= most_growth
@@ -166,17 +166,16 @@ def settle(
     return Settled(u, nodes, now), DamageReport(converged, len(residuals), residuals, reports, growth)
 
 
-def _mixed(solid: Solid, past: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-    """Damage of nodes for the next turn, by Anderson's method: of past ones, that mixture which changed least in its turn.
+def _farther_on(solid: Solid, past: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """Damage of nodes for the next turn: beyond what the last one led to, by the step of Barzilai and Borwein. Collective.
 
-    Collective.
+    Never back, and no more than so many times as far: turns leave states that are not stable, and are not to be held there.
     """
-    used, led_to = np.array(past).transpose(1, 0, 2)
-    change = led_to - used
-    apart = change[:-1] - change[-1]
-    products = solid.mesh.comm.allreduce(apart @ np.vstack([apart, change[-1:]]).T)
-    weight = -np.linalg.lstsq(products[:, :-1], products[:, -1], rcond=1e-6)[0]
-    return np.asarray(led_to[-1] + weight @ (led_to[:-1] - led_to[-1]))
+    (x, led_x), (y, led_y) = past
+    moved, less = y - x, (led_x - x) - (led_y - y)
+    squares, products = solid.mesh.comm.allreduce(np.array([moved @ moved, moved @ less]))
+    by = min(squares / products, MOST_BEYOND) if products > 0 else MOST_BEYOND
+    return np.asarray(y + max(by, 1.0) * (led_y - y))
 
 
 def _apart(solid: Solid, u: np.ndarray, fixed: ArrayLike, load: ArrayLike | None) -> float:

@@ -15,9 +15,7 @@ struct DamagedNeoHookean {
   Real bulk() const { return lambda + 2 * mu / 3; }
   Real degradation(Real damage) const { return (1 - residual) * (1 - damage) * (1 - damage) + residual; }
 
-  Real of_shape(Tensor const& f) const {
-    return mu / 2 * (contraction(f, f) / cbrt_squared(determinant(f)) - 3);
-  }
+  Real of_shape(Tensor const& f) const { return mu / 2 * (contraction(f, f) / cbrt_squared(determinant(f)) - 3); }
   Real of_volume(Tensor const& f) const {
     Real const j = determinant(f);
     return bulk() / 4 * (j * j - 1 - 2 * std::log(j));

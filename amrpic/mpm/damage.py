@@ -118,9 +118,9 @@ def settle(
     Displacement and damage are found in turns, each with the other as it is, until the forces that the displacement leaves with
     the damage that it leads to are within `damage_tolerance`, by default `tolerance`, of the size of all; then the displacement
     is found once more, to `tolerance`. Before that it is found no better than of use. From the third turn on damage goes beyond
-    what the one before led to, up to four times as far. `conditions` and the rest are those of `equilibrium`. The driving energy
-    of points grows from what the solid had before, whatever turns pass through. Turns end without convergence where the damage
-    of a point grows by more than `most_growth`. What was reached is returned, converged or not.
+    what the one before led to, up to four times as far. `conditions` and the rest are those of `equilibrium`. The driving
+    energy of points grows from what the solid had before, whatever turns pass through. Turns end without convergence where the
+    damage of a point grows by more than `most_growth`. What was reached is returned, converged or not.
     """
     u, enough = start, damage_tolerance or tolerance
     if not any(m.damage for m in solid.materials):

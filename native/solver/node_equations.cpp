@@ -4,6 +4,7 @@
 #include <string>
 
 #include "base/error.hpp"
+
 namespace amrpic {
 
 namespace {

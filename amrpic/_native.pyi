@@ -182,6 +182,9 @@ class FemPoints:
 def fem_mass(points: FemPoints, components: int) -> FemOperator: ...
 def fem_poisson(points: FemPoints, components: int) -> FemOperator: ...
 
+class FemMultigrid:
+    """A preconditioner that solves of operators near each other share."""
+
 class FemOperator:
     """An operator at points; amrpic.fem has those of mass and of Poisson."""
 
@@ -206,6 +209,7 @@ class FemOperator:
         preconditioner: int,
         tolerance: float,
         most_iterations: int,
+        kept: FemMultigrid | None = None,
     ) -> tuple: ...
 
 class NeoHookean:
@@ -835,7 +839,7 @@ class MpmSolid:
     def respond(self, u: NDArray[numpy.float64]) -> tuple:
         """Internal forces, energy, and the smallest det F."""
 
-    def tangent(self, u: NDArray[numpy.float64], initial: bool) -> FemOperator: ...
+    def tangent(self, u: NDArray[numpy.float64], form: int) -> FemOperator: ...
     def deformation(self, u: NDArray[numpy.float64]) -> NDArray[numpy.float64]:
         """F of each point, 9 numbers."""
 

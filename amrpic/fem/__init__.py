@@ -4,9 +4,10 @@ from .layouts import gauss, given, jittered, random, uniform
 from .mesh import Mesh
 from .operators import Mass, Operator, Poisson
 from .points import Points
-from .solve import SolveReport, solve
+from .solve import Kept, SolveReport, solve
 
 __all__ = [
+    "Kept",
     "Mass",
     "Mesh",
     "Operator",

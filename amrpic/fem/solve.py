@@ -19,6 +19,7 @@ from .points import checked_vector, held_of, mask_of, shaped
 MOST_ITERATIONS = 2**31 - 1
 Preconditioner = Literal["none", "jacobi", "p-multigrid"]  # in the order of the native ones
 Coarse = Literal["geometric", "aggregation"]  # two of the last kind
+WORSE = 2.0  # by so much than in the solve before: what is kept is made anew
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +33,23 @@ class SolveReport:
     reason: str  # why it stopped
 
 
+class Kept:
+    """What a preconditioner keeps for the solves after it, of operators that change little, with the same nodes fixed.
+
+    Its coarser levels are made in the first solve, and again after one that took twice as many iterations for what it gained
+    as the one before.
+    """
+
+    native: _native.FemMultigrid | None = None
+    cost = np.inf  # iterations for each factor e of the residual in the last solve
+
+    def after(self, residuals: np.ndarray, native: _native.FemMultigrid | None) -> None:
+        """Note how a solve went, and what it leaves to keep."""
+        fall = residuals[0] / residuals[-1] if residuals[-1] > 0 else np.inf
+        cost = (len(residuals) - 1) / np.log(max(fall, 1.001))
+        self.native, self.cost = None if cost > WORSE * self.cost else native, cost
+
+
 def solve(
     operator: Operator,
     f: ArrayLike,
@@ -42,6 +60,7 @@ def solve(
     coarse: Coarse = "geometric",
     tolerance: float = 1e-10,
     most_iterations: int = 10_000,
+    kept: Kept | None = None,
 ) -> tuple[np.ndarray, SolveReport]:
     """Return the solution u of operator @ u = f, and how it was found. Collective.
 
@@ -49,7 +68,7 @@ def solve(
     equations. The residual comes down to `tolerance` times what it is with all others at zero.
 
     "p-multigrid" goes from the elements' degree to degree 1 at the same points, and from there to half the elements along each
-    axis, and so on; with coarse = "aggregation" by MueLu's smoothed aggregates.
+    axis, and so on; with coarse = "aggregation" by MueLu's smoothed aggregates. What is `kept` of it serves the next solve.
 
     Raises on all ranks InputError for arrays of other shapes or with values that are not finite, options that do not exist, and
     Poisson's equation without a fixed node whose right-hand side does not add up to zero; and SolverError for free nodes whose
@@ -71,13 +90,21 @@ def solve(
         _require_balance(operator, right, mask, tolerance)
     start = time.perf_counter()
     try:
-        u, residuals, curved_down = operator.native.solve(
-            right, mask, held, _number(preconditioner, coarse), tolerance, most_iterations
+        u, residuals, curved_down, native = operator.native.solve(
+            right,
+            mask,
+            held,
+            _number(preconditioner, coarse),
+            tolerance,
+            most_iterations,
+            kept.native if kept else None,
         )
     except _native.SolverError as refused:
         raise SolverError(str(refused)) from None
     if not np.isfinite(residuals[0]):
         raise SolverError(f"the residual to start from is {residuals[0]}, beyond double precision; use other units")
+    if kept:
+        kept.after(residuals, native)
     converged = bool(residuals[-1] <= tolerance * residuals[0])
     reason = (
         "the tolerance was met"

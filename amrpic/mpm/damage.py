@@ -12,14 +12,15 @@ from numpy.typing import ArrayLike
 
 from .. import _native
 from ..errors import SolverError
-from ..fem import Operator, Points, solve
+from ..fem import Kept, Operator, Points, solve
 from ..fem.points import mask_of
 from ..parallel import global_max, global_sum
 from .equilibrium import EquilibriumReport, equilibrium
 from .solid import Solid
 
-LINEAR_TOLERANCE = 1e-12
-FIRST_WITHIN, WITHIN = 1e-2, 0.1  # tolerances of equilibrium in the first turn, and over what the last one left
+OF_DAMAGE = 1e-4  # tolerance of the damage of nodes, over that of forces that it may move
+MOST_BEYOND = 4.0  # times what a turn changes damage by, that the next one's may be changed
+FIRST_WITHIN, WITHIN = 3e-2, 0.3  # tolerances of equilibrium in the first turn, and over what the last one left
 WEAK = (
     1e-3  # of the largest G/ℓ: what materials that do not break have of it, so that damage goes on smoothly into them
 )
@@ -67,7 +68,12 @@ class _DamageOperator(Operator):
 
 
 def damage_field(
-    solid: Solid, driving: np.ndarray, *, fixed: ArrayLike | None = None, values: ArrayLike | float = 0.0
+    solid: Solid,
+    driving: np.ndarray,
+    *,
+    fixed: ArrayLike | None = None,
+    values: ArrayLike | float = 0.0,
+    tolerance: float = 1e-12,
 ) -> np.ndarray:
     """Return the damage of nodes (nodes,) for the largest driving energy of points, (n,) in J/m³. Collective.
 
@@ -90,9 +96,7 @@ def damage_field(
     empty = of_breaking.diagonal() <= 0
     held = np.where(mask, np.broadcast_to(values, mask.shape), 0.0)
     right = points.integrate(source / solid.j)
-    d, report = solve(
-        operator, right, fixed=mask | empty, values=held, preconditioner="jacobi", tolerance=LINEAR_TOLERANCE
-    )
+    d, report = solve(operator, right, fixed=mask | empty, values=held, preconditioner="jacobi", tolerance=tolerance)
     if not report.converged:
         raise SolverError(f"damage was not found in {report.iterations} iterations: {report.reason}")
     return d
@@ -113,21 +117,27 @@ def settle(
 
     Displacement and damage are found in turns, each with the other as it is, until the forces that the displacement leaves with
     the damage that it leads to are within `damage_tolerance`, by default `tolerance`, of the size of all; then the displacement
-    is found once more, to `tolerance`. Before that it is found no better than of use. `conditions` and the rest are those of
-    `equilibrium`. The driving energy of points grows from what the solid had before, whatever turns pass through. Turns end
-    without convergence where the damage of a point grows by more than `most_growth`. What was reached is returned, converged
-    or not.
+    is found once more, to `tolerance`. Before that it is found no better than of use. From the third turn on damage goes beyond
+    what the one before led to, up to four times as far. `conditions` and the rest are those of `equilibrium`. The driving
+    energy of points grows from what the solid had before, whatever turns pass through. Turns end without convergence where the
+    damage of a point grows by more than `most_growth`. What was reached is returned, converged or not.
     """
     u, enough = start, damage_tolerance or tolerance
     if not any(m.damage for m in solid.materials):
         u, report = equilibrium(solid, fixed=fixed, tolerance=tolerance, start=u, **conditions)
         nodes, last = np.zeros(len(solid.mesh.node_indices)), report.residuals[-1] / (report.size or 1)
         return Settled(u, nodes, solid), DamageReport(report.converged, 1, [last], [report])
+    conditions.setdefault("kept", Kept())
     now, breaks, growth = solid, solid.surface_and_length()[0] > 0, 0.0
     residuals: list[float] = []
     reports: list[EquilibriumReport] = []
+    past: list[tuple[np.ndarray, np.ndarray]] = []  # damage of nodes in a turn, and what it led to
     nodes = np.zeros(len(solid.mesh.node_indices))
-    for _ in range(most_turns):
+
+    def damaged(nodes: np.ndarray) -> Solid:
+        return solid.with_damage(breaks * np.clip(solid.points.values(nodes), 0, 1), driving)
+
+    for turn in range(most_turns):
         within = max(tolerance, min(FIRST_WITHIN, WITHIN * residuals[-1])) if residuals else FIRST_WITHIN
         u, report = equilibrium(now, fixed=fixed, tolerance=within, start=u, **conditions)
         reports.append(report)
@@ -135,12 +145,16 @@ def settle(
             residuals.append(report.residuals[-1] / (report.size or 1))
             break
         driving = np.maximum(solid.driving, now.energies(u)[1])
-        nodes = damage_field(solid, driving)
-        now = solid.with_damage(breaks * np.clip(solid.points.values(nodes), 0, 1), driving)
+        used, nodes = nodes, damage_field(solid, driving, tolerance=max(OF_DAMAGE * enough, 1e-12))
+        now = damaged(nodes)
         residuals.append(_apart(now, u, fixed, conditions.get("load")) / (report.size or 1))
         growth = global_max(solid.mesh.comm, float((now.damage - solid.damage).max(initial=0.0)))
         if residuals[-1] <= enough or growth > most_growth:
             break
+        past = [*past[-1:], (used, nodes)]
+        if turn > 1:
+            nodes = _farther_on(solid, past)
+            now = damaged(nodes)
     assert isinstance(u, np.ndarray)
     converged = reports[-1].converged and residuals[-1] <= enough and growth <= most_growth
     if converged and residuals[-1] > tolerance:
@@ -149,6 +163,18 @@ def settle(
         now = now.with_damage(now.damage, np.maximum(solid.driving, now.energies(u)[1]))
         converged = report.converged
     return Settled(u, nodes, now), DamageReport(converged, len(residuals), residuals, reports, growth)
+
+
+def _farther_on(solid: Solid, past: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """Damage of nodes for the next turn: beyond what the last one led to, by the step of Barzilai and Borwein. Collective.
+
+    Never back, and no more than so many times as far: turns leave states that are not stable, and are not to be held there.
+    """
+    (x, led_x), (y, led_y) = past
+    moved, less = y - x, (led_x - x) - (led_y - y)
+    squares, products = solid.mesh.comm.allreduce(np.array([moved @ moved, moved @ less]))
+    by = min(squares / products, MOST_BEYOND) if products > 0 else MOST_BEYOND
+    return np.asarray(y + max(by, 1.0) * (led_y - y))
 
 
 def _apart(solid: Solid, u: np.ndarray, fixed: ArrayLike, load: ArrayLike | None) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike
 from ..errors import InputError
 from ..fem import solve
 from ..fem.points import checked_vector, held_of, mask_of
-from ..fem.solve import Coarse, Preconditioner
+from ..fem.solve import Coarse, Kept, Preconditioner
 from ..parallel import global_sum, together
 from .solid import Form, Response, Solid
 
@@ -53,16 +54,17 @@ def equilibrium(
     form: Form = "current",
     preconditioner: Preconditioner = "p-multigrid",
     coarse: Coarse = "geometric",
+    kept: Kept | None = None,
 ) -> tuple[np.ndarray, EquilibriumReport]:
     """Return the displacement (nodes, 3) in m at which internal forces are the `load` (nodes, 3) in N, and how it was found.
 
     Unknowns that are `fixed`, a mask (nodes,) or (nodes, 3), go to their `values` in m. The residual of the others falls to
-    `tolerance` times the size of all forces. Linear solves end by Eisenstat and Walker's rule, or at `linear_tolerance`, or
-    beyond a direction along which the tangent is not positive; steps are halved until all det F are positive and the potential
-    falls, or the residual does and the potential does not rise; those that ended beyond such a direction are doubled while it
-    falls. The first step takes the walls along; it is halved towards `even`, a displacement (nodes, 3) in m that has their
-    values, if that is given and leaves det F positive. What was reached is returned, converged or not. Collective; InputError
-    on all ranks for arrays of other shapes.
+    `tolerance` times the size of all forces. Linear solves end by Eisenstat and Walker's rule, or at `linear_tolerance`; where
+    the tangent is not positive along a direction, its positive form takes its place. Steps are halved until all det F are
+    positive and the potential falls, or the residual does and the potential does not rise; those of the positive form are
+    doubled while it falls. The first step takes the walls along; it is halved towards `even`, a displacement (nodes, 3) in m
+    that has their values, if that is given and leaves det F positive. What is `kept` of the preconditioner goes on to the next
+    solve. What was reached is returned, converged or not. Collective; InputError on all ranks for arrays of other shapes.
     """
     held, target, force = _conditions(solid, fixed, values, load)
     u = np.zeros(target.shape) if start is None else _vector(solid, start, "start").copy()
@@ -70,6 +72,7 @@ def equilibrium(
     residuals: list[float] = []
     gradients: list[int] = []
     lengths: list[float] = []
+    solved = partial(solve, fixed=held, preconditioner=preconditioner, coarse=coarse, kept=kept or Kept())
     before, reason = None, "it took the most iterations"
     for iteration in range(most_iterations + 1):
         residual, jump, energy = force - state.force, np.where(held, target - u, 0.0), state.energy
@@ -82,14 +85,14 @@ def equilibrium(
             break
         if iteration == most_iterations:
             break
-        tangent = solid.tangent(u, form)
         eta = linear_tolerance or _forcing(residuals[-1], before, tolerance * size)
-        step, linear = solve(
-            tangent, residual, fixed=held, values=jump, tolerance=eta, preconditioner=preconditioner, coarse=coarse
-        )
-        del tangent  # what it holds, 17 numbers a point, is not to be there beside the next one
+        # Tangents hold 17 numbers a point: one at a time.
+        step, linear = solved(solid.tangent(u, form), residual, values=jump, tolerance=eta)
         before = linear.residuals[0]
         gradients.append(linear.iterations)
+        if not linear.converged and not moving:
+            step, positive = solved(solid.tangent(u, "positive"), residual, tolerance=LARGEST_FORCING)
+            gradients[-1] += positive.iterations
         found = None
         if moving and even is not None:
             there = _vector(solid, even, "the even displacement")
@@ -157,7 +160,7 @@ def _searched(
 def _farther(
     solid: Solid, u: np.ndarray, step: np.ndarray, force: np.ndarray, found: tuple[np.ndarray, Response, float]
 ) -> tuple[np.ndarray, Response, float]:
-    """Where a step leads that ended at a direction without positive curvature, which says nothing of its length. Collective.
+    """Where a step leads that was found where the tangent is not positive, which says little of its length. Collective.
 
     It is doubled while the potential falls.
     """

@@ -51,6 +51,17 @@ class Cuboid(Section):
 class Structure(Section):
     """What all kinds of structure have."""
 
+    def names(self, materials: Sequence[str]) -> Names:
+        """Yield the materials that are named, and where."""
+        raise NotImplementedError
+
+    def labels(self, places: np.ndarray, corners: Corners, materials: Sequence[str]) -> np.ndarray:
+        """Return the number of the material at each place (n, 3) in m, (n,); -1 where there is none. Local.
+
+        SceneError for a file that is not there, is something else, or has a label that means no material.
+        """
+        raise NotImplementedError
+
     def check(self) -> None:
         """Raise SceneError as `labels` does."""
 
@@ -67,13 +78,11 @@ class Regions(Structure):
     )
 
     def names(self, materials: Sequence[str]) -> Names:
-        """Yield the materials that are named, and where."""
         yield "material", materials[0] if self.material is None else self.material
         for number, region in enumerate(self.regions):
             yield f"regions.{number}.material", region.material
 
     def labels(self, places: np.ndarray, corners: Corners, materials: Sequence[str]) -> np.ndarray:
-        """Return the number of the material at each place (n, 3) in m, (n,); -1 where there is none. Local."""
         number = _numbers(materials)
         out = np.full(len(places), number[materials[0] if self.material is None else self.material])
         for region in self.regions:
@@ -96,13 +105,11 @@ class Voronoi(Structure):
     seed: int = Field(default=1, ge=0, description="Of their places.")
 
     def names(self, materials: Sequence[str]) -> Names:
-        """Yield the materials that are named, and where."""
         yield from (("grain", self.grain), ("binder", self.binder))
         if self.voids > 0:
             yield "void", self.void
 
     def labels(self, places: np.ndarray, corners: Corners, materials: Sequence[str]) -> np.ndarray:
-        """Return the number of the material at each place (n, 3) in m, (n,); -1 where there is none. Local."""
         number, (lower, upper) = _numbers(materials), corners
         draw = np.random.default_rng(self.seed)
         volume = float(np.prod(upper - lower))
@@ -140,14 +147,9 @@ class Voxels(Structure):
         return self
 
     def names(self, materials: Sequence[str]) -> Names:
-        """Yield the materials that are named, and where."""
         yield from ((f"materials.{label}", name) for label, name in self.materials.items())
 
     def labels(self, places: np.ndarray, corners: Corners, materials: Sequence[str]) -> np.ndarray:
-        """Return the number of the material at each place (n, 3) in m, (n,); -1 where there is none. Local.
-
-        Raises SceneError for a file that is not there, is something else, or has a label that means no material.
-        """
         number, (lower, upper) = _numbers(materials), corners
         voxels = self.read()
         meant = np.array([number[self.materials[str(label)]] for label in np.unique(voxels)])
@@ -156,7 +158,6 @@ class Voxels(Structure):
         return meant[np.searchsorted(np.unique(voxels), voxels[i, j, k])]
 
     def check(self) -> None:
-        """Raise SceneError as `labels` does."""
         self.read()
 
     def read(self) -> np.ndarray:

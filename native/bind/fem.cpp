@@ -11,7 +11,6 @@
 #include "fem/moments.hpp"
 #include "fem/operators.hpp"
 #include "solver/node_equations.hpp"
-#include "solver/node_multigrid.hpp"
 #include "solver/node_rows.hpp"
 
 namespace nb = nanobind;
@@ -158,6 +157,7 @@ void bind_fem(nb::module_& m) {
 
   m.def("fem_mass", &fem::mass, "points"_a, "components"_a);
   m.def("fem_poisson", &fem::poisson, "points"_a, "components"_a);
+  nb::class_<NodeMultigrid>(m, "FemMultigrid", "A preconditioner that solves of operators near each other share.");
   nb::class_<fem::Operator>(m, "FemOperator", "An operator at points; amrpic.fem has those of mass and of Poisson.")
       .def(
           "apply",
@@ -199,15 +199,15 @@ void bind_fem(nb::module_& m) {
       .def(
           "solve",
           [](fem::Operator const& a, bind::Reals f, Flags fixed, bind::Reals values, int preconditioner, Real tolerance,
-             int most_iterations) {
+             int most_iterations, std::shared_ptr<NodeMultigrid> kept) {
             NodeSolution found;
             {
               nb::gil_scoped_release release;
               found = solve_nodes(a, f.data(), fixed.data(), values.data(), NodePreconditioner(preconditioner),
-                                  tolerance, most_iterations);
+                                  tolerance, most_iterations, kept);
             }
             return nb::make_tuple(bind::to_array(std::move(found.u)), bind::to_array(std::move(found.report.residuals)),
-                                  found.report.curved_down);
+                                  found.report.curved_down, kept);
           },
-          "f"_a, "fixed"_a, "values"_a, "preconditioner"_a, "tolerance"_a, "most_iterations"_a);
+          "f"_a, "fixed"_a, "values"_a, "preconditioner"_a, "tolerance"_a, "most_iterations"_a, "kept"_a = nb::none());
 }

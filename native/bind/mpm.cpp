@@ -44,11 +44,11 @@ void bind_mpm(nb::module_& m) {
           "u"_a, "Internal forces, energy, and the smallest det F.")
       .def(
           "tangent",
-          [](mpm::Solid const& solid, bind::Reals u, bool initial) {
+          [](mpm::Solid const& solid, bind::Reals u, int form) {
             nb::gil_scoped_release release;
-            return mpm::tangent(solid, u.data(), initial ? mpm::Form::initial : mpm::Form::current);
+            return mpm::tangent(solid, u.data(), mpm::Form(form));
           },
-          "u"_a, "initial"_a)
+          "u"_a, "form"_a)
       .def(
           "deformation",
           [](mpm::Solid const& solid, bind::Reals u) { return bind::to_array(mpm::deformation(solid, u.data())); },

@@ -15,9 +15,7 @@ struct DamagedNeoHookean {
   Real bulk() const { return lambda + 2 * mu / 3; }
   Real degradation(Real damage) const { return (1 - residual) * (1 - damage) * (1 - damage) + residual; }
 
-  Real of_shape(Tensor const& f) const {
-    return mu / 2 * (std::pow(determinant(f), -Real(2) / 3) * contraction(f, f) - 3);
-  }
+  Real of_shape(Tensor const& f) const { return mu / 2 * (contraction(f, f) / cbrt_squared(determinant(f)) - 3); }
   Real of_volume(Tensor const& f) const {
     Real const j = determinant(f);
     return bulk() / 4 * (j * j - 1 - 2 * std::log(j));
@@ -33,7 +31,7 @@ struct DamagedNeoHookean {
   }
   IsotropicModuli moduli(Tensor const& f, Real damage) const {
     Real const j = determinant(f), g = degradation(damage), volume = of_volume_by(g, j) * bulk();
-    Real const shape = 2 * mu * std::pow(j, -Real(2) / 3) * contraction(f, f) / 3;
+    Real const shape = 2 * mu * contraction(f, f) / cbrt_squared(j) / 3;
     return {volume * j * j - g * shape / 3, g * shape - volume * (j * j - 1), 2 * g / 3, deviator(f)};
   }
 
@@ -44,11 +42,12 @@ struct DamagedNeoHookean {
   }
 
  private:
+  static Real cbrt_squared(Real j) { return std::cbrt(j) * std::cbrt(j); }
   Real of_volume_by(Real g, Real j) const { return j >= 1 ? g : 1; }
   /// Kirchhoff's stress of changes of shape, undamaged.
   Tensor deviator(Tensor const& f) const {
     Tensor const b = product(f, transposed(f));
-    Real const by = mu * std::pow(determinant(f), -Real(2) / 3);
+    Real const by = mu / cbrt_squared(determinant(f));
     return sum(scaled(by, b), -by * trace(b) / 3, unit_tensor());
   }
 };

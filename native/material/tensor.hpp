@@ -10,8 +10,10 @@ using Tensor = std::array<std::array<Real, 3>, 3>;
 
 /// Call f(i, j) for each entry.
 template <class F>
-inline void for_each_entry(F&& f) {
+inline __attribute__((always_inline)) void for_each_entry(F&& f) {
+#pragma GCC unroll 3
   for (std::size_t i = 0; i < 3; ++i)
+#pragma GCC unroll 3
     for (std::size_t j = 0; j < 3; ++j) f(i, j);
 }
 

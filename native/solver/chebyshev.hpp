@@ -22,6 +22,9 @@ class Chebyshev {
   /// Bring x nearer to the solution of A x = b; `from_zero`: x is zero, whatever it holds. Collective.
   void smooth(std::vector<Real> const& b, std::vector<Real>& x, bool from_zero);
 
+  /// Take another S from here on, near the one before: the eigenvalue stays.
+  void precondition_by(Apply precondition) { precondition_ = std::move(precondition); }
+
   Real largest_eigenvalue() const { return largest_; }
 
  private:

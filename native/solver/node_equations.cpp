@@ -4,7 +4,6 @@
 #include <string>
 
 #include "base/error.hpp"
-#include "solver/node_multigrid.hpp"
 
 namespace amrpic {
 
@@ -32,18 +31,26 @@ std::vector<Real> inverse_diagonal(fem::Operator const& a, bool const* fixed) {
 }  // namespace
 
 NodeSolution solve_nodes(fem::Operator const& a, Real const* f, bool const* fixed, Real const* values,
-                         NodePreconditioner preconditioner, Real tolerance, int most_iterations) {
+                         NodePreconditioner preconditioner, Real tolerance, int most_iterations,
+                         std::shared_ptr<NodeMultigrid>& kept) {
   std::size_t const n = a.unknowns();
   auto inverse = inverse_diagonal(a, fixed);
   auto const free_part = [&](std::vector<Real>& v) {
     for (std::size_t i = 0; i < n; ++i)
       if (fixed[i]) v[i] = 0;
   };
-  std::unique_ptr<NodeMultigrid> multigrid;
-  if (preconditioner == NodePreconditioner::p_multigrid)
-    multigrid = std::make_unique<NodeMultigrid>(a, std::move(inverse), CornerCycle::halving, tolerance <= tight);
-  if (preconditioner == NodePreconditioner::p_multigrid_by_aggregates)
-    multigrid = std::make_unique<NodeMultigrid>(a, std::move(inverse), CornerCycle::aggregation, tolerance <= tight);
+  bool const by_halves = preconditioner == NodePreconditioner::p_multigrid;
+  std::shared_ptr<NodeMultigrid> multigrid;
+  if (by_halves || preconditioner == NodePreconditioner::p_multigrid_by_aggregates) {
+    if (kept && tolerance > tight) {
+      multigrid = kept;
+      multigrid->smooth_for(a, std::move(inverse));
+    } else {
+      multigrid = std::make_shared<NodeMultigrid>(
+          a, std::move(inverse), by_halves ? CornerCycle::halving : CornerCycle::aggregation, tolerance <= tight);
+      if (tolerance > tight) kept = multigrid;
+    }
+  }
   NodeSolution out;
   out.u.assign(n, 0);
   for (std::size_t i = 0; i < n; ++i)

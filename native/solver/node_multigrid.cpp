@@ -22,7 +22,7 @@ constexpr Real most_with_elements = 30;
 }  // namespace
 
 NodeMultigrid::NodeMultigrid(fem::Operator const& a, std::vector<Real> inverse, CornerCycle kind, bool solves_elements)
-    : fine_(a) {
+    : fine_(&a) {
   for (Real value : inverse) fixed_.push_back(value == 0);
   auto const lattice = a.points().share_lattice();
   std::unique_ptr<fem::Operator> coarse;
@@ -35,7 +35,7 @@ NodeMultigrid::NodeMultigrid(fem::Operator const& a, std::vector<Real> inverse, 
     coarse_r_.resize(coarse->unknowns()), coarse_z_.resize(coarse->unknowns()), residual_.resize(a.unknowns());
     // A corner is fixed if it is so as a node of the finer degree.
     corners_free_ = free_of(between_->at_corners(a.components(), inverse.data()));
-    auto const apply = [this](std::vector<Real> const& x, std::vector<Real>& y) { fine_.apply(x.data(), y.data()); };
+    auto const apply = [this](std::vector<Real> const& x, std::vector<Real>& y) { fine_->apply(x.data(), y.data()); };
     auto const smooth_with = [&](Chebyshev::Apply precondition) {
       smoother_ =
           std::make_unique<Chebyshev>(lattice->comm(), apply, std::move(precondition),
@@ -56,6 +56,11 @@ NodeMultigrid::NodeMultigrid(fem::Operator const& a, std::vector<Real> inverse, 
     levels_ = std::make_unique<NodeLevels>(lattice->comm(), std::move(blocks));
 }
 
+void NodeMultigrid::smooth_for(fem::Operator const& a, std::vector<Real> inverse) {
+  fine_ = &a;
+  if (smoother_) smoother_->precondition_by(by_diagonal(std::move(inverse)));
+}
+
 void NodeMultigrid::solve_corners(std::vector<Real> const& r, std::vector<Real>& z) {
   if (levels_)
     levels_->apply(r, z);
@@ -72,9 +77,9 @@ void NodeMultigrid::apply(std::vector<Real> const& r, std::vector<Real>& z) {
     solve_corners(r, z);
     return keep_fixed();
   }
-  int const components = fine_.components();
+  int const components = fine_->components();
   smoother_->smooth(r, z, true);
-  fine_.apply(z.data(), residual_.data());
+  fine_->apply(z.data(), residual_.data());
   for (std::size_t i = 0; i < r.size(); ++i) residual_[i] = fixed_[i] ? 0 : r[i] - residual_[i];
   between_->transposed(components, residual_.data(), coarse_r_.data());
   for (std::size_t i = 0; i < coarse_r_.size(); ++i) coarse_r_[i] *= corners_free_[i];

@@ -22,13 +22,17 @@ class NodeMultigrid {
   /// Collective.
   NodeMultigrid(fem::Operator const& a, std::vector<Real> inverse, CornerCycle kind, bool solves_elements);
 
+  /// Smooth for another operator near the one that it was made of, on the same nodes with the same ones fixed; coarser
+  /// levels stay. `inverse`: of its diagonal.
+  void smooth_for(fem::Operator const& a, std::vector<Real> inverse);
+
   /// z near the solution of A z = r, zero where unknowns are fixed, as r must be. Collective.
   void apply(std::vector<Real> const& r, std::vector<Real>& z);
 
  private:
   void solve_corners(std::vector<Real> const& r, std::vector<Real>& z);
 
-  fem::Operator const& fine_;
+  fem::Operator const* fine_;
   std::vector<bool> fixed_;  ///< of each unknown
   std::vector<Real> corners_free_;
   std::unique_ptr<fem::Interpolation> between_;  ///< null for degree 1

@@ -74,6 +74,28 @@ def test_what_is_solved_already_takes_no_iteration():
     assert report.converged and report.iterations == 0 and (u == 0).all()
 
 
+@pytest.mark.parametrize("degree", [1, 2])
+def test_levels_of_an_operator_serve_those_near_it_and_are_made_anew_for_others(degree):
+    mesh, points, f = problem(MPI.COMM_SELF, degree)
+    wave, kept = np.sin(5 * points.position).sum(axis=1), fem.Kept()
+
+    def solved(amount, kept=None):
+        weight = points.volume * np.exp(amount * wave)
+        there = fem.given(mesh, points.position, weight, weights="volume")
+        return fem.solve(fem.Poisson(there), f, fixed=mesh.boundary, tolerance=1e-5, kept=kept)
+
+    made: list[object] = []
+    for amount in (0.0, 0.1, 4.0, 4.0):
+        u, report = solved(amount, kept)
+        expected, alone = solved(amount)
+        assert report.converged and np.abs(u - expected).max() < 1e-4 * np.abs(expected).max()
+        made.append(kept.native)
+        if amount < 1:
+            assert report.iterations <= alone.iterations + 2
+    assert made[0] is made[1] is not None and made[2] is None and made[3] is not None
+    assert report.iterations == alone.iterations
+
+
 def test_a_solve_that_is_cut_short_says_so():
     mesh, points, f = problem(MPI.COMM_SELF)
     _, report = fem.solve(fem.Poisson(points), f, fixed=mesh.boundary, most_iterations=3)

@@ -94,6 +94,28 @@ def test_a_bar_pulled_apart_breaks_in_its_weak_middle_and_keeps_its_energy():
         assert lost + stored == pytest.approx(done, rel=0.03)
 
 
+def test_turns_go_beyond_what_the_last_led_to_and_not_back_to_states_that_are_not_stable(monkeypatch):
+    """Before the bar breaks fewer turns find the same damage; where it breaks within a step, it does so all the same."""
+    solid = pulled(MPI.COMM_SELF)
+    mesh = solid.mesh
+    end = mesh.node_indices[:, 0] == 16
+    fixed = np.stack([end | (mesh.node_indices[:, 0] == 0), *(mesh.node_indices[:, d] == 0 for d in (1, 2))], axis=1)
+
+    def turns(pull, tolerance):
+        values = np.where(end[:, None] & [True, False, False], pull, 0.0)
+        settled, report = mpm.settle(solid, fixed=fixed, values=values, tolerance=tolerance, most_turns=300)
+        assert report.converged
+        return settled.solid.damage, report.turns
+
+    whole, few = turns(10e-6, 1e-7)
+    broken, _ = turns(22e-6, 1e-5)
+    monkeypatch.setattr("amrpic.mpm.damage._farther_on", lambda solid, past: past[-1][1])
+    expected, many = turns(10e-6, 1e-7)
+    assert few < 0.7 * many, (few, many)
+    assert np.abs(whole - expected).max() < 1e-6
+    assert broken.max() > 0.9
+
+
 @pytest.mark.parametrize("fails_at", [0.31, 0.77])
 def test_steps_are_halved_where_there_is_no_state_and_grow_again(fails_at):
     loads, taken, cuts = mpm.Loads(steps=10), [(0.0, 0.0)], 0

@@ -92,7 +92,7 @@ def _merged(one, other, _):
 MERGED = MPI.Op.Create(_merged, commute=True)
 
 
-@pytest.mark.mpi(ranks=(1, 2, 3))
+@pytest.mark.mpi(ranks=(1, 2, 3), more=(4,))
 def test_points_are_bitwise_the_same_after_a_hundred_random_moves(comm):
     """Columns, masses and their first moments, by id, are those of one rank, and each point is with its element's rank."""
     moves, count = 100, 700
@@ -187,8 +187,19 @@ TWO = {"grain": {**BRITTLE, "young": "2 GPa"}, "binder": BRITTLE}
 GRAINS = {"kind": "voronoi", "grains": 5, "grain": "grain", "binder": "binder", "seed": 2}
 
 
+def vtk_read(path):
+    from vtkmodules.vtkIOHDF import vtkHDFReader
+
+    reader = vtkHDFReader()
+    reader.SetFileName(str(path))
+    reader.SetMaximumLevelsToReadByDefaultForAMR(0)  # all
+    reader.Update()
+    return reader.GetOutput()
+
+
 def test_files_of_a_run_say_what_its_points_have(tmp_path):
-    import h5py
+    """By VTK's own reader."""
+    from vtkmodules.util.numpy_support import vtk_to_numpy
 
     write = ["series", "points", "fields", "pictures", "checkpoint"]
     small = scene(
@@ -200,15 +211,23 @@ def test_files_of_a_run_say_what_its_points_have(tmp_path):
     )
     run = mpm.Simulation(MPI.COMM_SELF, small)
     run.run(log="silent")
-    points = run.state.placed.points
-    with h5py.File(tmp_path / "run" / "points_00000002.vtkhdf") as h5:
-        root = h5["VTKHDF"]
-        assert root.attrs["Type"] == b"PolyData" and root["NumberOfPoints"][:] == len(points)
-        np.testing.assert_array_equal(root["Points"][:], points.position)
-        np.testing.assert_array_equal(root["PointData/F"][:], points.deformation.reshape(-1, 9))
-        np.testing.assert_array_equal(root["PointData/id"][:], points.id)
-        assert 0 < root["PointData/damage"][:].max() < 1
-    means = element_means(run.state, small)
+    points, means = run.state.placed.points, element_means(run.state, small)
+    read = vtk_read(tmp_path / "run" / "points_00000002.vtkhdf")
+    assert read.GetClassName() == "vtkPolyData" and read.GetNumberOfPoints() == read.GetNumberOfVerts() == len(points)
+    np.testing.assert_array_equal(vtk_to_numpy(read.GetPoints().GetData()), points.position)
+    values = {name: vtk_to_numpy(read.GetPointData().GetArray(name)) for name in ("F", "J", "id", "damage", "material")}
+    np.testing.assert_array_equal(values["F"], points.deformation.reshape(-1, 9))
+    for name in ("J", "id", "damage", "material"):
+        np.testing.assert_array_equal(values[name], getattr(points, name.lower()), err_msg=name)
+    assert 0 < values["damage"].max() < 1
+    amr = vtk_read(tmp_path / "run" / "fields_00000002.vtkhdf")
+    image = amr.GetDataSetAsImageData(0, 0)
+    assert amr.GetNumberOfBlocks(0) == 1
+    np.testing.assert_allclose(image.GetBounds(), [0, 1, 0, 1, 0, 0.6], atol=1e-14)
+    for name in ("filled", "damage", "J", "mises", "share_grain"):
+        np.testing.assert_array_equal(
+            vtk_to_numpy(image.GetCellData().GetArray(name)), means[name].array(0), err_msg=name
+        )
     volume = run.state.placed.mesh.element_volume
     assert means["filled"].sum() * volume == pytest.approx(points.volume.sum())
     share = (means["share_grain"] * means["filled"]).sum() * volume

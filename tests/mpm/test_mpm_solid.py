@@ -89,6 +89,28 @@ def test_tangents_are_their_matrices(materials, layout):
     assert np.abs(dense @ v.ravel() - (tangent @ v).ravel()).max() < 1e-13 * np.abs(dense).max() * np.abs(v).max() * 30
 
 
+@pytest.mark.parametrize("materials", MATERIALS)
+def test_the_positive_form_of_the_tangent_has_no_direction_without_stiffness(materials):
+    """Where the body is pressed flat, and the tangent itself has such directions; elsewhere forms are the same."""
+    mesh = fem.Mesh(MPI.COMM_SELF, 0, 1, 2, degree=1)
+    points, laws = fem.jittered(mesh, 3, weights="volume"), MATERIALS[materials]
+    which, rest = points.number % len(laws), 0 * mesh.nodes
+
+    def least(form, stretches):
+        flat = np.tile(np.diag(stretches), (len(points), 1, 1))
+        rows = mpm.Solid(points, laws, which, deformation=flat).tangent(rest, form).to_scipy()
+        assert rows is not None
+        values = np.linalg.eigvalsh(rows.toarray())
+        return values[0] / values[-1]
+
+    assert least("current", [1, 1, 0.2]) < -1e-3
+    assert least("positive", [1, 1, 0.2]) > -1e-13
+    pulled = mpm.Solid(points, laws, which, deformation=np.tile(np.diag([1.2, 1.2, 1.2]), (len(points), 1, 1)))
+    v = displacement(mesh)
+    one, other = (pulled.tangent(rest, form) @ v for form in ("current", "positive"))
+    assert np.abs(one - other).max() < 1e-13 * np.abs(one).max()
+
+
 def test_one_term_of_ogden_is_neo_hookean_at_points():
     made = [solid_of((law,), LAYOUTS["jittered"]) for law in (PLAIN, mpm.Ogden(((MU, 2.0),), PLAIN.lame))]
     u, v = displacement(made[0].mesh), displacement(made[0].mesh, seed=3)

@@ -67,14 +67,22 @@ def _portions(comm: MPI.Comm, bunches: list[Particles]) -> Iterator[Particles]:
                 yield portions.pop(0)
 
 
+def deposits_meanwhile(scene: Scene, kinds: int, step: int) -> bool:
+    """Whether particles of so many kinds are deposited in a step while others are under way to their rank.
+
+    Not where the mesh may change first, of several species, whose charges are found from ids that are under way, and by kernels
+    that deposit all at once.
+    """
+    return kinds == 1 and scene.solver.backend != "kokkos" and not scene.refinement.regrids_at(step)
+
+
 def fly(
-    state: State, moved: Particles, window: Window, plan: Plan, begins_deposit: bool
+    state: State, moved: Particles, window: Window, plan: Plan
 ) -> tuple[Particles, Deposition | None, Record, Record]:
     """Return the particles of a state where they have `moved`, and its records of losses and screens with those of the flight.
 
     Collective. Each flight is a straight line in the laboratory; those that touch an aperture end there. `window`: where the
-    mesh is then. With `begins_deposit`, the same on all ranks, those that stay on their rank are deposited while others are
-    under way, and the deposit that has begun is returned too.
+    mesh is then. The deposit of those that stay on their rank, if it `deposits_meanwhile`, is returned as it has begun.
     """
     scene, hierarchy = plan.scene, state.hierarchy
     flights = Flights(state.particles.position, moved.position, hierarchy.domain, state.window, window)
@@ -87,7 +95,8 @@ def fly(
             begun.append(Deposition(here, hierarchy, plan.clouds))
             begun[0].begin(migration)
 
-    meanwhile = (begin_deposit,) if begins_deposit and len(moved.species.kinds) == 1 else ()
+    begins = deposits_meanwhile(scene, len(moved.species.kinds), state.step + 1)
+    meanwhile = (begin_deposit,) if begins else ()
     particles, outside, missing = migrate_without(moved, hierarchy, stopped.flight, servers, True, *meanwhile)
     deposition = begun[0] if begun else None
     lost = replace(stopped, what=stopped.what + len(FACES))

@@ -258,8 +258,7 @@ class Plan:
 
     def regrids_at(self, step: int) -> bool:
         """Whether the mesh follows the particles in this step, whatever they do."""
-        refinement = self.scene.refinement
-        return refinement.follows and refinement.regrid_every > 0 and step % refinement.regrid_every == 0
+        return self.scene.refinement.regrids_at(step)
 
     def note(self, sentence: str) -> None:
         """Note for the log what the run chose by itself, once."""

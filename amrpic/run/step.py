@@ -35,7 +35,7 @@ def advance(state: State, plan: Plan) -> State:
     with plan.clock("push"):
         moved = _moved(state, plan)
     with plan.clock("migrate"):
-        particles, deposition, lost, screens = fly(state, moved, course.window, plan, not plan.regrids_at(step))
+        particles, deposition, lost, screens = fly(state, moved, course.window, plan)
     frames = plan.frames(particles, state.solution.frames, lost.particles, anew=step % EVERY == 0)
     fields = ParticleFields(particles, state.hierarchy, plan, state.solution, frames, deposition)
     if plan.regrids_at(step) or outrun(fields):

@@ -17,6 +17,7 @@ from ..io.writer_ranks import Load
 from ..mesh.boxes import Array
 from ..mesh.hierarchy import Hierarchy
 from ..parallel import Traffic
+from ..run.flight import deposits_meanwhile
 from ..run.memory import Share, cells_below, placing_bytes, rank_memory
 from ..run.restart import BEFORE, FIELDS, LAGGING_BYTES, ROW_BYTES, writers_of
 from ..scene.motion import Leapfrog, RandomWalk
@@ -195,11 +196,9 @@ def estimates_per_solve(scene: Scene) -> float:
 
 
 def overlapping_steps(scene: Scene) -> float:
-    """Return the part of steps that deposit particles of a rank while others are under way to it: see `fly`."""
-    refinement = scene.refinement
-    if len({bunch.species for bunch in scene.bunches}) > 1 or scene.solver.backend == "kokkos":
-        return 0.0
-    return 1 - 1 / refinement.regrid_every if refinement.follows and refinement.regrid_every > 0 else 1.0
+    """Return the part of steps that deposit particles of a rank while others are under way to it."""
+    kinds, steps = len({bunch.species for bunch in scene.bunches}), max(scene.refinement.regrid_every, 1)
+    return sum(deposits_meanwhile(scene, kinds, step) for step in range(steps)) / steps
 
 
 def cycles_per_solve(scene: Scene) -> float:

@@ -107,3 +107,7 @@ class Refinement(Section):
         """Whether the mesh can follow the particles: it is refined, and not by static boxes alone."""
         parts = [rule for _, rule in every_rule(self.rule) if not isinstance(rule, Combination)]
         return self.levels > 0 and not all(isinstance(rule, StaticRule) for rule in parts)
+
+    def regrids_at(self, step: int) -> bool:
+        """Whether the mesh follows the particles in this step, whatever they do."""
+        return self.follows and self.regrid_every > 0 and step % self.regrid_every == 0

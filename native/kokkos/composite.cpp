@@ -29,6 +29,7 @@ void ImportBuffers::pass(Imports& imports) const {
     from += read.part.cells();
   });
   imports.finish();
+  imports.settle();
   std::copy_n(imports.values(), imports.size(), host_received_.data());
   Kokkos::deep_copy(received_, host_received_);
 }

@@ -17,9 +17,13 @@ class CoarseFluxes {
   Real* row(int l, Interface const& i, int v) {
     return of_level_[std::size_t(l)].data() + i.fluxes + std::ptrdiff_t(v) * i.nu;
   }
-  /// Send those of a level to the ranks of the cells behind it; `finish` waits for those from the next finer level.
+  /// Send those of a level to the ranks of the cells behind it; `finish` waits for those from the next finer level, and
+  /// `settle` for others to have those of all levels.
   void send(int l);
   void finish(int l) { mesh_.plan(l).finer_fluxes.finish(); }
+  void settle() {
+    for (int l = 0; l < mesh_.levels(); ++l) mesh_.plan(l).finer_fluxes.settle();
+  }
 
   /// Call f(side, fluxes) for the sides of a box with refined cells beyond; the fluxes are those from the finer level,
   /// of the side's first cell first, as far apart along its tangential axes as `side.fluxes` has them.

@@ -53,10 +53,9 @@ void CompositeAverage::average_pair(int l, int b, int k, Field& phi) const {
   }
 }
 
-/// The same between ranks, for all boxes of a level.
-void CompositeAverage::average_across_ranks(int l, Field& phi) {
-  LevelPlan& coarse = mesh_.plan(l - 1);
-  coarse.finer_means.start([&](int, Read const& read, Real* out) {
+/// Send other ranks the means of children on level l.
+void CompositeAverage::send_means(int l, Field const& phi) {
+  mesh_.plan(l - 1).finer_means.start([&](int, Read const& read, Real* out) {
     Box const &own = mesh_.level(l).box(read.owner), part = read.cells();
     Index3 const pitch = pitches(own);
     Real const* const cells = phi.level(l).data() + mesh_.level(l).local_offset(read.owner);
@@ -65,6 +64,11 @@ void CompositeAverage::average_across_ranks(int l, Field& phi) {
         average_children(part.extent(0), cells + own.offset({2 * part.lower[0], 2 * j, 2 * k}), pitch[1], pitch[2],
                          out);
   });
+}
+
+/// Set the parents on this rank of other ranks' cells of level l.
+void CompositeAverage::take_means(int l, Field& phi) {
+  LevelPlan& coarse = mesh_.plan(l - 1);
   coarse.finer_means.finish();
   for (RemoteMeans const& m : coarse.remote_means) {
     Real const* from = coarse.finer_means.values() + m.from;
@@ -75,33 +79,46 @@ void CompositeAverage::average_across_ranks(int l, Field& phi) {
   }
 }
 
+void CompositeAverage::settle() {
+  for (int l = 0; l < mesh_.levels(); ++l) mesh_.plan(l).finer_means.settle();
+}
+
 void CompositeAverage::average_down(Field& phi) {
   for (int l = mesh_.levels() - 1; l > 0; --l) {
     for (int b = 0; b < mesh_.boxes(l); ++b)
       for (int k = 0; k < mesh_.box(l, b).extent(2); k += 2) average_pair(l, b, k, phi);
-    average_across_ranks(l, phi);
+    send_means(l, phi);
+    take_means(l, phi);
   }
+  settle();
 }
 
 template <class T>
 Real CompositeAverage::add(Blocks<T> const& correction, Real scale, Field& phi) {
   Largest<T> largest;
-  for (int l = mesh_.levels() - 1; l >= 0; --l) {
-    for (int b = 0; b < mesh_.boxes(l); ++b) {
-      Real* const cells = phi.level(l).data() + mesh_.offset(l, b);
-      Block<T> const& from = correction[std::size_t(l)][std::size_t(b)];
-      for (int k = 0; k < mesh_.box(l, b).extent(2); ++k) {
-        // the largest of all cells does not depend on which of the covered ones fill a box
-        if (mesh_.plan(l, b).is_fully_covered)
-          for (int j = 0; j < mesh_.box(l, b).extent(1); ++j)
-            largest.add(from.origin + j * from.pitch_y + k * from.pitch_z, mesh_.box(l, b).extent(0));
-        else
-          add_plane(l, b, k, from, scale, cells + std::ptrdiff_t(k) * pitches(mesh_.box(l, b))[2], largest);
-        if (l > 0 && k % 2 == 1) average_pair(l, b, k - 1, phi);
-      }
+  auto const add_box = [&](int l, int b) {
+    Real* const cells = phi.level(l).data() + mesh_.offset(l, b);
+    Block<T> const& from = correction[std::size_t(l)][std::size_t(b)];
+    for (int k = 0; k < mesh_.box(l, b).extent(2); ++k) {
+      // the largest of all cells does not depend on which of the covered ones fill a box
+      if (mesh_.plan(l, b).is_fully_covered)
+        for (int j = 0; j < mesh_.box(l, b).extent(1); ++j)
+          largest.add(from.origin + j * from.pitch_y + k * from.pitch_z, mesh_.box(l, b).extent(0));
+      else
+        add_plane(l, b, k, from, scale, cells + std::ptrdiff_t(k) * pitches(mesh_.box(l, b))[2], largest);
+      if (l > 0 && k % 2 == 1) average_pair(l, b, k - 1, phi);
     }
-    if (l > 0) average_across_ranks(l, phi);
+  };
+  int const finest = mesh_.levels() - 1;
+  for (int l = finest; l >= 0; --l) {  // means of finer cells are under way to the boxes that come last
+    for (bool last : {false, true}) {
+      if (last && l < finest) take_means(l + 1, phi);
+      for (int b = 0; b < mesh_.boxes(l); ++b)
+        if (mesh_.plan(l, b).takes_means == last) add_box(l, b);
+    }
+    if (l > 0) send_means(l, phi);
   }
+  settle();
   return std::abs(scale) * largest.value();
 }
 template Real CompositeAverage::add(Blocks<float> const&, Real, Field&);

@@ -23,7 +23,9 @@ class CompositeAverage {
   template <class T>
   void add_plane(int l, int b, int k, Block<T> const& correction, Real scale, Real* phi, Largest<T>& largest);
   void average_pair(int l, int b, int k, Field& phi) const;
-  void average_across_ranks(int l, Field& phi);
+  void send_means(int l, Field const& phi);
+  void take_means(int l, Field& phi);
+  void settle();
 
   CompositeMesh& mesh_;
   std::vector<Real> covered_;  ///< what the covered cells of a plane hold

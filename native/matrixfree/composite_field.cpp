@@ -11,6 +11,7 @@ namespace amrpic {
 namespace {
 
 constexpr int children = 8;  ///< of a cell
+constexpr std::ptrdiff_t width = ElectricField::components_per_cell;
 
 }  // namespace
 
@@ -52,49 +53,44 @@ void CompositeField::field_plane(int l, int b, int k, Where where, Field const& 
   });
 }
 
-/// Give the means of a level's cells, box by box, to the covered cells of the coarser level, all cells of whose boxes
-/// are boundary cells.
-void CompositeField::give_means(int l, Real const* means, ElectricField& field) {
-  constexpr std::ptrdiff_t width = ElectricField::components_per_cell;
+/// Send other ranks the means of a level's cells, box by box, that belong to covered cells of theirs.
+void CompositeField::send_means(int l, Real const* means) {
+  mesh_.plan(l - 1).finer_means.start(
+      [&](int, Read const& read, Real* out) {
+        Box const parents = mesh_.level(l).box(read.owner).coarsen(refinement_ratio), part = read.cells();
+        Real const* const first = means + width * (mesh_.level(l).local_offset(read.owner) / children);
+        for (int k = part.lower[2]; k <= part.upper[2]; ++k)
+          for (int j = part.lower[1]; j <= part.upper[1]; ++j, out += width * part.extent(0))
+            std::copy_n(first + width * parents.offset({part.lower[0], j, k}), width * part.extent(0), out);
+      },
+      std::size_t(width));
+}
+
+/// Give the means of a level's cells to the covered cells of the coarser level, all cells of whose boxes are boundary
+/// cells.
+void CompositeField::take_means(int l, Real const* means, ElectricField& field) {
   LevelPlan& coarse = mesh_.plan(l - 1);
-  auto const first_of = [&](int b) { return means + width * (mesh_.level(l).local_offset(b) / children); };
-  auto const parents_of = [&](int b) { return mesh_.level(l).box(b).coarsen(refinement_ratio); };
   auto const at_boundary = [&](LocalIndex place) {
     return field.at_boundary(l - 1) + width * field.boundary(l - 1).number(place);
   };
-
+  auto const give = [&](Real const* from, Index3 const& pitch, auto const& to) {
+    Real* const first = at_boundary(to.parent);
+    for (int k = 0; k < to.parents[2]; ++k)
+      for (int j = 0; j < to.parents[1]; ++j)
+        std::copy_n(from + width * (j * std::ptrdiff_t(pitch[1]) + k * std::ptrdiff_t(pitch[2])), width * to.parents[0],
+                    first + width * (j * std::ptrdiff_t(to.pitch_y) + k * std::ptrdiff_t(to.pitch_z)));
+  };
   for (int b = 0; b < mesh_.boxes(l); ++b)
     for (int f = mesh_.plan(l, b).families.first; f < mesh_.plan(l, b).families.last; ++f) {
       Family const& family = mesh_.plan(l).families[std::size_t(f)];
-      int const box = mesh_.level(l).first_local_box() + b;
-      Index3 const pitch = pitches(parents_of(box));
-      Real const* from = first_of(box);
+      Index3 const pitch = pitches(mesh_.box(l, b).coarsen(refinement_ratio));
+      Real const* from = means + width * (mesh_.offset(l, b) / children);
       for (int d = 0; d < 3; ++d) from += width * (family.child[d] / 2) * pitch[d];
-      Real* const to = at_boundary(family.parent);
-      for (int k = 0; k < family.parents[2]; ++k)
-        for (int j = 0; j < family.parents[1]; ++j)
-          std::copy_n(from + width * (j * pitch[1] + k * pitch[2]), width * family.parents[0],
-                      to + width * (j * family.pitch_y + k * family.pitch_z));
+      give(from, pitch, family);
     }
-
-  for (int axis = 0; axis < 3; ++axis) {
-    coarse.finer_means.start([&](int, Read const& read, Real* out) {
-      for_each_cell(read.cells(), [&](Index3 const& parent) {
-        *out++ = first_of(read.owner)[width * parents_of(read.owner).offset(parent) + axis];
-      });
-    });
-    coarse.finer_means.finish();
-    for (RemoteMeans const& m : coarse.remote_means) {
-      Real const* from = coarse.finer_means.values() + m.from;
-      Real* const to = at_boundary(m.parent);
-      for (int k = 0; k < m.parents[2]; ++k)
-        for (int j = 0; j < m.parents[1]; ++j)
-          for (int i = 0; i < m.parents[0]; ++i) {
-            Real* const cell = to + width * (i + j * m.pitch_y + k * m.pitch_z);
-            cell[axis] = *from++;
-          }
-    }
-  }
+  coarse.finer_means.finish();
+  for (RemoteMeans const& m : coarse.remote_means)
+    give(coarse.finer_means.values() + width * m.from, {1, m.parents[0], m.parents[0] * m.parents[1]}, m);
 }
 
 /// Set the means of planes k and k + 1 of a box, which are under way, box by box.
@@ -140,14 +136,19 @@ ElectricField CompositeField::electric_field(std::shared_ptr<Field const> potent
   };
   auto finish_level = [&](int l) {  // covered cells first, then the means that take these in
     stream_end();
-    if (averages && mesh_.hierarchy().has_finer(l)) give_means(l + 1, means[std::size_t(l) + 1].data(), out);
+    if (averages && mesh_.hierarchy().has_finer(l)) take_means(l + 1, means[std::size_t(l) + 1].data(), out);
     for (int b = 0; b < mesh_.boxes(l) && averages && l > 0; ++b)
       for (int k = 0; out.boundary(l).is_whole(b) && k < mesh_.box(l, b).extent(2); ++k) {
         out.write_plane(l, b, k, planes_of(l, b, k));
         if (k % 2 == 1) average_field(l, b, k - 1, means[std::size_t(l)].data());
       }
+    if (averages && l > 0) {
+      stream_end();
+      send_means(l, means[std::size_t(l)].data());  // under way while the next level is visited
+    }
   };
   ghosts_.visit(phi, walls, averages ? FullyCovered::skip : FullyCovered::visit, set_box, finish_level);
+  for (int l = 0; l < mesh_.levels(); ++l) mesh_.plan(l).finer_means.settle();
   return out;
 }
 

@@ -21,7 +21,8 @@ class CompositeField {
 
   void field_plane(int l, int b, int k, Where where, Field const& phi, std::array<Real*, 3> const& e);
   void average_field(int l, int b, int k, Real* means);
-  void give_means(int l, Real const* means, ElectricField& field);
+  void send_means(int l, Real const* means);
+  void take_means(int l, Real const* means, ElectricField& field);
 
   CompositeMesh& mesh_;
   CompositeGhosts& ghosts_;

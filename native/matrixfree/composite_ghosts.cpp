@@ -29,6 +29,7 @@ void CompositeGhosts::visit(Field const& phi, std::vector<Walls> const& walls, F
         if (l > 0) fluxes_.send(l);
         if (done) done(l);
       });
+  fluxes_.settle();
 }
 
 void CompositeGhosts::fill(int l, int b, Field const& phi, Walls const& walls) {

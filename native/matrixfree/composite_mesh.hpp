@@ -67,23 +67,24 @@ class CompositeMesh {
       for (int b = 0; b < boxes(l); ++b) f(l, b);
   }
   /// Call f(level, box) finest level first, and on each level the boxes that are remote(level, box) last: with the
-  /// first of these `cells`, which are under way, have come. before(level) and after(level) come around those of a
-  /// level.
+  /// first of these `cells`, which are under way, have come. before(level) comes before these of a level, and
+  /// after(level) after all.
   template <class Remote, class Before, class F, class After>
   void visit(Imports& cells, FullyCovered fully_covered, Remote&& remote, Before&& before, F&& f, After&& after) const {
     bool waiting = true;
     for (int l = levels() - 1; l >= 0; --l) {
-      before(l);
       for (bool last : {false, true}) {
         if (last && waiting) {
           cells.finish();
           waiting = false;
         }
+        if (last) before(l);
         for (int b = 0; b < boxes(l); ++b)
           if (remote(l, b) == last && !(plan(l, b).is_fully_covered && fully_covered == FullyCovered::skip)) f(l, b);
       }
       after(l);
     }
+    cells.settle();
   }
   /// Call f(place in the plane, count) for each row of covered cells in plane k of a box.
   template <class F>

@@ -188,6 +188,7 @@ class LevelPlanner {
       families.push_back({covered.box, {parent, pitch_y, pitch_z, child.lower, parents}});
     } else {
       Imports::Values const values = out_.finer_means.find(0, number_, 0, covered.box, covered.shift, part);
+      plan_->takes_means = true;
       out_.remote_means.push_back({values.from, parent, pitch_y, pitch_z, parents});
     }
   }
@@ -199,6 +200,7 @@ class LevelPlanner {
     Rectangle fluxes{};
     fluxes.here = finer_->owner(n.cells.box) == level_.rank();
     fluxes.nu = own.extent(u), fluxes.nv = own.extent(v);
+    plan_->remote = plan_->remote || !fluxes.here;
     if (fluxes.here) {
       auto const& box = fine.boxes[std::size_t(n.cells.box - finer_->first_local_box())];
       Interface const& i = fine.interfaces[std::size_t(box.faces[std::size_t(face)].interface)];

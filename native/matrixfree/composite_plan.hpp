@@ -81,7 +81,8 @@ struct BoxPlan {
   Range refined;                  ///< refined sides
   Range families;                 ///< parents that are cells of this rank
   bool is_fully_covered = false;  ///< covered whole
-  bool remote = false;            ///< a face, or the plane behind it, takes values from other ranks
+  bool remote = false;            ///< a face, the plane behind it, or a refined side takes values from other ranks
+  bool takes_means = false;       ///< covered cells have children on other ranks
 };
 
 /// Cells of a coarser box, and their children in a box of the level; all on this rank.

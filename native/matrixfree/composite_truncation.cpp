@@ -281,6 +281,7 @@ Real composite_truncation(CompositeMesh& mesh, Source const& source, Field const
         pack_means(mesh.level(0), ratio, first, potentials, read, out);
     });
     imports.finish();
+    imports.settle();
     for (Task const& task : tasks) {
       auto const charge = gather(task.parents, task.rho, charges.data(), imports);
       auto const potential = gather(task.parents.grow(1), task.phi, coarse_phi, imports);

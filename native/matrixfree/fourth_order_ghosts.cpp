@@ -64,7 +64,7 @@ void FourthOrderGhosts::visit(Field const& phi, std::vector<Walls> const* walls,
   });
   zero_ = false;
   mesh_.visit(
-      plan_.cells, fully_covered, [&](int l, int b) { return plan_.is_remote(l, b); },
+      plan_.cells, fully_covered, [&](int l, int b) { return plan_.is_remote(l, b) || mesh_.plan(l, b).remote; },
       [&](int l) {
         if (mesh_.hierarchy().has_finer(l) && ends != Ends::nothing) fluxes_.finish(l);
       },
@@ -75,6 +75,7 @@ void FourthOrderGhosts::visit(Field const& phi, std::vector<Walls> const* walls,
       [&](int l) {
         if (l > 0 && ends != Ends::nothing) fluxes_.send(l);
       });
+  fluxes_.settle();
 }
 
 void FourthOrderGhosts::fill(int l, int b, Field const& phi, Walls const* walls, Ends ends) {

@@ -33,18 +33,19 @@ class Imports {
   /// of another rank owns.
   Values find(int purpose, int reader, int region, int owner, Index3 const& shift, Box const& part) const;
 
-  /// Begin to receive, and send what others read: pack(purpose, read, out) writes its values, x fastest. Collective.
+  /// Begin to receive, and send what others read: pack(purpose, read, out) writes its values, x fastest; of several
+  /// `fields` those of a cell side by side. Collective.
   template <class Pack>
-  void start(Pack&& pack) {
-    exchange_.start([&](std::size_t n, Real* out) { pack(asked_[n].purpose, asked_[n].read, out); });
+  void start(Pack&& pack, std::size_t fields = 1) {
+    exchange_.start([&](std::size_t n, Real* out) { pack(asked_[n].purpose, asked_[n].read, out); }, fields);
   }
-  /// Wait for what was started. Collective.
+  /// Wait for what others sent, and later for others to have what this rank sent. Collective.
   void finish() {
     exchange_.finish([this](std::size_t n, Real const* in) {
       if (n == 0) values_ = in;
     });
-    exchange_.settle();
   }
+  void settle() { exchange_.settle(); }
 
   /// Call f(purpose, read) for what is packed, in that order.
   template <class F>

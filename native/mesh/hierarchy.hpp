@@ -62,7 +62,7 @@ class Hierarchy {
 std::vector<Box> cut(Box const& region, int max_grid_size, int blocking_factor);
 
 /// Sort boxes along a space-filling curve: the region that they span is halved once along each axis, the longest first,
-/// so that few ranks meet in planes; within each part it is Morton order of the centres.
+/// x last of equal ones, so that few ranks meet, in planes, and few rows are cut; the parts are in Morton order.
 void sort_along_curve(std::vector<Box>& boxes);
 
 /// Where each rank's run of boxes starts, ranks + 1 values, so that the runs have about equally many cells.

@@ -78,3 +78,14 @@ def test_halved_boxes_refine_the_same_cells_and_stay_thick_enough(ranks, blockin
         lies_across = (begins // share + 1) * share < ends - 1e-6
         is_overfull = (sizes > 1.1 * sizes.mean())[cut.owners(level)]
         assert not np.any(can_be_halved & lies_across & is_overfull)
+
+
+@pytest.mark.parametrize(
+    ("cells", "axis"), [((64, 64, 64), 2), ((72, 64, 16), 1), ((64, 16, 64), 2), ((96, 64, 16), 0)]
+)
+def test_two_ranks_meet_in_a_plane_that_cuts_few_rows(cells, axis):
+    """Across the longest axis, but across x, along which rows of cells lie, only where that is the longest by a quarter."""
+    mesh = amrpic.Hierarchy(VirtualRank(0, 2), amrpic.Domain((0, 0, 0), (1, 1, 1), cells), max_grid_size=8)
+    boxes, owners = mesh.boxes(0), mesh.owners(0)
+    lower, upper = boxes[owners == 0], boxes[owners == 1]
+    assert lower[:, 3 + axis].max() < upper[:, axis].min()

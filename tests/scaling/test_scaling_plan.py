@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,13 +21,14 @@ from amrpic.run.adapt import follow, make_base
 from amrpic.run.initial_particles import make_particles
 from amrpic.run.particle_fields import ParticleFields
 from amrpic.run.plan import Plan as RunPlan
+from amrpic.run.simulation import Simulation
 from amrpic.scaling.bricks import Exchange, bricks_of, exchange, served
 from amrpic.scaling.densities import Cloud, Edges, clouds_of, planned_mesh
 from amrpic.scaling.machine import FOLDER, Machine, Network, Work
 from amrpic.scaling.model import fitted, step_time, total
 from amrpic.scaling.moves import Leaving, leaving, moves
 from amrpic.scaling.neighbours import neighbours_of_ranks
-from amrpic.scaling.plan import Choices, Cycles, Plan, Planner, Walls, spread_out
+from amrpic.scaling.plan import Choices, Cycles, Plan, Planner, Walls, overlapping_steps, spread_out
 from amrpic.scaling.sent import Sent
 from amrpic.scaling.targets import Targets
 from amrpic.scaling.virtual_ranks import (
@@ -39,7 +42,7 @@ from amrpic.scaling.virtual_ranks import (
     without_open_walls,
 )
 from amrpic.scene.scene import Scene
-from amrpic.stages.deposit import deposit
+from amrpic.stages.deposit import Deposition, deposit
 from amrpic.stages.gather import gather
 from amrpic.stages.migrate import NONE, migrate
 from amrpic.stages.poisson import PoissonSolver
@@ -212,6 +215,28 @@ def test_particles_pass_between_nodes_while_those_that_stay_are_deposited():
     assert messages(1000) == pytest.approx(before + 0.1 * passing)  # deposit takes longer
     on_one_node = messages(1000, ranks_per_node=8)  # whose processors copy
     assert on_one_node == pytest.approx(2 * (latency + 8 * 4000 / 1e9))
+
+
+@pytest.mark.parametrize(
+    ("section", "change", "part"),
+    [
+        ("refinement", {"regrid_every": 4}, 0.75),
+        ("refinement", {"levels": 0}, 1.0),
+        ("bunches", {"species": "positron", "charge": "1 pC"}, 0.0),
+        ("solver", {"backend": "kokkos"}, 0.0),
+    ],
+)
+def test_steps_that_deposit_meanwhile_are_those_of_a_run(section, change, part, monkeypatch):
+    begun: list[Deposition] = []
+    monkeypatch.setattr(Deposition, "begin", lambda self, migration: begun.append(self))
+    data: dict[str, Any] = deepcopy({**SCENE, "solver": {}})
+    data["domain"]["cells"], data["motion"]["dt"] = 16, "1 ps"
+    for bunch in data["bunches"]:
+        bunch["particles"] = 2000
+    (data["bunches"][1] if section == "bunches" else data[section]).update(change)
+    small = Scene.from_dict(data)
+    Simulation(MPI.COMM_SELF, small).advance(8)
+    assert len(begun) / 8 == overlapping_steps(small) == part
 
 
 def test_constants_are_found_again_from_times():

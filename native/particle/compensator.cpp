@@ -10,7 +10,16 @@ namespace amrpic {
 namespace {
 
 constexpr int reach = DensityPlaces::reach;
-typedef Real Cell __attribute__((vector_size(8 * Compensator::per_cell)));
+constexpr int ahead = 2;  ///< planes for which memory is asked before they are filled
+typedef Real Pair __attribute__((vector_size(16)));
+
+/// Of two cells of a tile, from their components.
+Lanes two_cells(Pair const& x, Pair const& y, Pair const& z) {
+  Pair const zero{};
+  auto const one = [](Pair const& xy, Pair const& z0) { return __builtin_shufflevector(xy, z0, 0, 1, 2, 3); };
+  return joined(one(__builtin_shufflevector(x, y, 0, 2), __builtin_shufflevector(z, zero, 0, 2)),
+                one(__builtin_shufflevector(x, y, 1, 3), __builtin_shufflevector(z, zero, 1, 3)));
+}
 
 /// Trilinear value at the centre of `cell`, which lies inside the domain, of a coarser level's density: at(its cell),
 /// or null where that level has none; there the parent's value serves.
@@ -25,22 +34,74 @@ Real interpolated(Index3 const& cell, Level const& coarser, At const& at) {
   return out;
 }
 
+/// The same of a cell on one side along x of parent p, from four rows of parents: its own, those of its neighbours
+/// along y, along z, and along both.
+template <class At>
+auto between_rows(std::array<Real const*, 4> const& rows, int p, int side, At const& at) {
+  constexpr Real near = prolongation::near, far = prolongation::far;
+  constexpr Real weight[4] = {near * near, far * near, near * far, far * far};
+  auto out = near * weight[0] * at(rows[0] + p);
+  for (std::size_t n = 0; n < 4; ++n) {
+    if (n > 0) out += near * weight[n] * at(rows[n] + p);
+    out += far * weight[n] * at(rows[n] + p + side);
+  }
+  return out;
+}
+
+/// Copy a row, by vectors of which the last one may overlap the one before.
+void copy_row(Real const* from, int count, Real* to) {
+  if (count < lane_count) {
+    for (int i = 0; i < count; ++i) to[i] = from[i];
+    return;
+  }
+  int const last = count - lane_count;
+  for (int i = 0; i < last; i += lane_count) store(to + i, load<Lanes>(from + i));
+  store(to + last, load<Lanes>(from + last));
+}
+
+void bring_row_near(Real const* from, int count) {
+  constexpr int line = 64 / sizeof(Real);
+  for (int i = 0; i < count; i += line) bring_near(from + i);
+}
+
+/// A density in a row of cells, and in those below and above along z; it follows along y.
+struct DensityRow {
+  Real const *values, *below, *above;
+  std::ptrdiff_t y;
+
+  DensityRow from(std::ptrdiff_t i) const { return {values + i, below + i, above + i, y}; }
+  template <class Vector>
+  std::array<Vector, 3> differences(Real3 const& factor, int i) const {
+    auto const at = [](Real const* from) { return load<Vector>(from); };
+    return {field_between(factor[0], at(values + i - 1), at(values + i + 1)),
+            field_between(factor[1], at(values + i - y), at(values + i + y)),
+            field_between(factor[2], at(below + i), at(above + i))};
+  }
+};
+
+inline void add_to_two(DensityRow const& density, Real3 const& factor, int i, Real* to) {
+  auto const [x, y, z] = density.differences<Pair>(factor, i);
+  store(to, load<Lanes>(to) + two_cells(x, y, z));
+}
+
 /// Add the differences of a density across the cells of a row to the tile's cells.
-void add_differences(Real const* density, std::ptrdiff_t y, std::ptrdiff_t z, Real3 const& factor, int count,
-                     Real* to) {
-  std::ptrdiff_t const step[3] = {1, y, z};
-  auto const across = [&](auto const& at, int i, std::size_t d) {
-    return field_between(factor[d], at(density + i - step[d]), at(density + i + step[d]));
-  };
-  auto const eight = [](Real const* from) { return load<Lanes>(from); };
-  auto const one = [](Real const* from) { return *from; };
+void add_differences(DensityRow const& density, Real3 const& factor, int count, Real* to) {
   int i = 0;
   for (; i + lane_count <= count; i += lane_count) {
-    auto const cells = interleaved(across(eight, i, 0), across(eight, i, 1), across(eight, i, 2));
+    auto const [x, y, z] = density.differences<Lanes>(factor, i);
+    auto const cells = interleaved(x, y, z);
     for (std::size_t n = 0; n < cells.size(); ++n, to += lane_count) store(to, load<Lanes>(to) + cells[n]);
   }
-  for (; i < count; ++i, to += Compensator::per_cell)
-    store(to, load<Cell>(to) + Cell{across(one, i, 0), across(one, i, 1), across(one, i, 2), 0});
+  for (; i + 2 <= count; i += 2, to += 2 * Compensator::per_cell) add_to_two(density, factor, i, to);
+  for (; i < count; ++i, to += Compensator::per_cell) {
+    auto const [x, y, z] = density.differences<Real>(factor, i);
+    store(to, load<Cell>(to) + Cell{x, y, z, 0});
+  }
+}
+
+/// The same in the first two cells of many rows.
+void add_to_columns(DensityRow density, Real3 const& factor, int rows, Real* to, std::ptrdiff_t stride) {
+  for (; rows > 0; --rows, density = density.from(density.y), to += stride) add_to_two(density, factor, 0, to);
 }
 
 }  // namespace
@@ -59,80 +120,155 @@ Compensator::Compensator(Compensation const& compensation, ParticleMesh& mesh, R
   }
 }
 
-void Compensator::reset(Box const& tile) {
+void Compensator::begin(int level, Box const& tile, OccupiedRows const& rows) {
+  level_ = level;
+  inside_ = Box{};
   cells_ = tile.grow(reach);
-  values_.resize(std::max(values_.size(), std::size_t(cells_.cells())));
+  near_tile_ = NearRows(rows, tile_reach);
+  near_ = NearRows(rows, reach);
 }
 
-void Compensator::begin(std::size_t slot, OccupiedRows rows) {
-  box_ = &places_.ghosts(slot);
-  rows_ = std::move(rows);
-  reset(hierarchy_.level(box_->level).box(box_->box));
+void Compensator::begin(std::size_t slot, OccupiedRows const& rows, bool others_add_inside) {
+  box_ = &places_.box(slot);
+  Box const& box = rows.box();
+  begin(box_->level, box, rows);
+  if (others_add_inside) inside_ = box.grow(-1);
+  planes_ = planes_kept;
+  values_.resize(std::max(values_.size(), std::size_t(cells_.stride(2) * planes_)));
   filled_ = cells_.lower[2] - 1;
+  has_coarse_ = false;
+  for (int k = cells_.lower[2]; k < cells_.lower[2] + ahead; ++k) bring_plane_near(k);
+  for (auto const& row : box_->coarse) bring_row_near(&at(level_ - 1, row.place), row.count);
 }
 
-void Compensator::add_to_slab(Box const& slab, bool precedes, Tile<per_cell>& tile) {
-  for (int k = std::max(filled_ + 1, slab.lower[2] - reach); k <= slab.upper[2] + reach; ++k) fill_plane(k);
-  filled_ = slab.upper[2] + reach;
-  add(box_->level, rows_, slab.lower[2] - tile_reach + (precedes ? 2 * tile_reach : 0), slab.upper[2] + tile_reach,
-      tile);
+void Compensator::add_to_plane(int k, Tile<per_cell>& tile) {
+  int const middle = hierarchy_.level(level_).fold_at_walls({0, 0, k})[2];
+  for (int p = std::max(filled_ + 1, middle - 1); p <= middle + 1; ++p) fill_plane(p);
+  filled_ = std::max(filled_, middle + 1);
+  add(k, tile);
+}
+
+// Here, where products and sums do not become one, so that a cell rounds alike wherever it lies in a box.
+void Compensator::write_row(DifferenceRow const& phi, std::ptrdiff_t row, std::ptrdiff_t y, std::ptrdiff_t z, int count,
+                            Real* out) const {
+  DifferenceRow const rho{own() + row, compensation_.factor[std::size_t(level_)]};
+  amrpic::write_row([&](auto const&... of) { return phi.between(of...) + rho.between(of...); }, y, z, count, out);
 }
 
 /// Bring the density in a plane of the box's cells and ghost cells into `values_`, where particles are near.
 void Compensator::fill_plane(int k) {
-  Level const& level = hierarchy_.level(box_->level);
-  Box const& box = level.box(box_->box);
-  near_.clear();
-  for (int j = cells_.lower[1]; j <= cells_.upper[1]; ++j) near_.push_back(rows_.near(j, k, reach));
-  box_->ghosts.for_each_run(k, [&](GhostRun const& run) { fill_run(run); });
-  if (k < box.lower[2] || k > box.upper[2]) return;
-  Real const* const own = compensation_.density->level(box_->level).data() + level.local_offset(box_->box);
-  for (int j = box.lower[1]; j <= box.upper[1]; ++j) {
-    RowPart const& part = near(j);
-    int const first = std::max(part.first, box.lower[0]), last = std::min(part.last, box.upper[0]);
-    if (first > last) continue;
-    std::copy_n(own + box.offset({first, j, k}), last - first + 1, values_.data() + cells_.offset({first, j, k}));
-  }
+  near_.go_to_plane(k);
+  fill_own_rows(k);
+  box_->for_each_ghost_block(k, [&](CellBlock const& block) { fill_block(block, k); });
+  bring_plane_near(k + ahead);
 }
 
-/// The same of a run of ghost cells, of which those near particles are wanted.
-void Compensator::fill_run(GhostRun const& run) {
-  Index3 const& at = run.first;
-  LocalIndex first = 0, last = run.count - 1;
-  if (run.axis == 0) {
-    RowPart const& part = near(at[1]);
-    if (part.first > part.last) return;
-    first = std::max(part.first, at[0]) - at[0], last = std::min(part.last, at[0] + last) - at[0];
-  }
-  auto const is_near = [&](LocalIndex n) {
-    return run.axis == 0 || (at[0] >= near(at[1] + n).first && at[0] <= near(at[1] + n).last);
+/// Ask for what will be wanted of a plane: rows here and there in memory, which processors do not foresee.
+void Compensator::bring_plane_near(int k) const {
+  box_->for_each_ghost_block(k, [&](CellBlock const& block) {
+    Box const& cells = block.cells;
+    if (block.place < 0) return;
+    Real const* from = &at(level_, block.place) + (block.row(cells.lower[1], k) - block.place);
+    for (int j = cells.lower[1]; j <= cells.upper[1]; ++j, from += block.stride[1])
+      bring_row_near(from, cells.extent(0));
+  });
+}
+
+/// The box's own cells in a plane.
+void Compensator::fill_own_rows(int k) {
+  Level const& level = hierarchy_.level(level_);
+  Box const& box = level.box(box_->box);
+  if (k < box.lower[2] || k > box.upper[2]) return;
+  LocalIndex const first = level.local_offset(box_->box);
+  auto const fill = [&](Index3 const& lower, Index3 const& upper) {
+    Box const part{lower, upper};
+    if (!part.empty()) fill_block({part, first + LocalIndex(box.offset(lower)), {1, int(box.stride(1)), 0}}, k);
   };
-  Real* const out = values_.data() + cells_.offset(at);
-  std::ptrdiff_t const stride = cells_.stride(run.axis);
-  if (run.place < 0) {  // with matched clouds no particle reads what follows from there
-    for (LocalIndex n = first; !matched_ && n <= last; ++n)
-      if (is_near(n)) out[n * stride] = interpolated_at(run.cell(n));
+  Box const ends = inside_.empty() ? inside_ : inside_.grow({0, -1, -1});  // rows of which the ends alone are wanted
+  if (ends.empty() || k < ends.lower[2] || k > ends.upper[2] || box.extent(0) < 2 * reach)
+    return fill({box.lower[0], box.lower[1], k}, {box.upper[0], box.upper[1], k});
+  fill({box.lower[0], box.lower[1], k}, {box.upper[0], ends.lower[1] - 1, k});
+  for (int i : {box.lower[0], box.upper[0] - reach + 1}) fill({i, ends.lower[1], k}, {i + reach - 1, ends.upper[1], k});
+  fill({box.lower[0], ends.upper[1] + 1, k}, {box.upper[0], box.upper[1], k});
+}
+
+void Compensator::fill_block(CellBlock const& block, int k) {
+  bool const is_missing = block.place < 0;
+  if (is_missing && matched_) return;  // with matched clouds no particle reads what follows from there
+  Real const* const from = is_missing ? nullptr : &at(level_, block.place);
+  // columns: as many rows as in all else together
+  if (!is_missing && block.cells.extent(0) == reach && near_.holds(block.cells.lower[0], block.cells.upper[0])) {
+    Real* to = cell(block.cells.lower[0], block.cells.lower[1], k);
+    Real const* row = from + (block.row(block.cells.lower[1], k) - block.place);
+    for (int j = block.cells.extent(1); j > 0; --j, row += block.stride[1], to += cells_.stride(1))
+      store(to, load<Pair>(row));
     return;
   }
-  Real const* const from = &this->at(box_->level, run.place);
-  for (LocalIndex n = first; n <= last; ++n)
-    if (is_near(n)) out[n * stride] = from[std::ptrdiff_t(n) * run.place_stride];
+  for (int j = block.cells.lower[1]; j <= block.cells.upper[1]; ++j) {
+    RowPart const part = near_(j).intersect(block.cells.lower[0], block.cells.upper[0]);
+    if (part.empty()) continue;
+    if (is_missing)
+      interpolate_row(part, j, k, cell(part.first, j, k));
+    else
+      copy_row(from + (block.row(j, k) - block.place) + part.first - block.cells.lower[0], part.last - part.first + 1,
+               cell(part.first, j, k));
+  }
 }
 
-Real Compensator::interpolated_at(Index3 const& cell) const {
-  int const coarser = box_->level - 1;
-  return interpolated(hierarchy_.level(box_->level).fold_at_walls(cell), hierarchy_.level(coarser),
-                      [&](Index3 const& from) -> Real const* {
-                        LocalIndex const place = box_->coarse[std::size_t(box_->parents.offset(from))];
-                        return place < 0 ? nullptr : &at(coarser, place);
-                      });
+void Compensator::interpolate_row(RowPart const& part, int j, int k, Real* out) {
+  if (!has_coarse_) read_coarse();
+  Level const &level = hierarchy_.level(level_), &coarser = hierarchy_.level(level_ - 1);
+  if (box_->whole) return interpolate_whole_row(part, j, k, out);
+  for (int i = part.first; i <= part.last; ++i)
+    *out++ = interpolated(level.fold_at_walls({i, j, k}), coarser, [&](Index3 const& from) -> Real const* {
+      std::size_t const number = std::size_t(box_->parents.offset(from));
+      return exists_[number] ? &coarse_[number] : nullptr;
+    });
+}
+
+/// The coarser level's density on the parents of the box, as far as cells are interpolated from it.
+void Compensator::read_coarse() {
+  std::size_t const cells = std::size_t(box_->parents.cells());
+  coarse_.resize(std::max(coarse_.size(), cells + lane_count));  // vectors may touch what follows
+  exists_.assign(cells, 0);
+  for (auto const& [number, place, count] : box_->coarse) {
+    copy_row(&at(level_ - 1, place), count, coarse_.data() + number);
+    std::fill_n(exists_.begin() + number, count, 1);
+  }
+  has_coarse_ = true;
+}
+
+/// The same values where all coarse ones exist: both children along x of several parents at a time.
+void Compensator::interpolate_whole_row(RowPart const& part, int j, int k, Real* out) {
+  Box const& parents = box_->parents;
+  Index3 const near = cell_parent({part.first, j, k}), far = nearest_other_parent({part.first, j, k});
+  int const last = floor_divide(part.last, 2), skipped = part.first - 2 * near[0];
+  std::array<Real const*, 4> rows;
+  for (int n = 0; n < 4; ++n)
+    rows[std::size_t(n)] =
+        coarse_.data() + parents.offset({near[0], n & 1 ? far[1] : near[1], n & 2 ? far[2] : near[2]});
+  row_.resize(std::max(row_.size(), std::size_t(2 * (last - near[0] + 1 + lane_count))));
+  Real* to = row_.data();
+  int const count = last - near[0] + 1;
+  auto const eight = [](Real const* from) { return load<Lanes>(from); };
+  int p = 0;
+  for (; p + 2 < count; p += lane_count, to += 2 * lane_count) {
+    auto const cells = interleaved(between_rows(rows, p, -1, eight), between_rows(rows, p, 1, eight));
+    store(to, cells[0]);
+    store(to + lane_count, cells[1]);
+  }
+  auto const one = [](Real const* from) { return *from; };
+  for (; p < count; ++p, to += 2) to[0] = between_rows(rows, p, -1, one), to[1] = between_rows(rows, p, 1, one);
+  copy_row(row_.data() + skipped, part.last - part.first + 1, out);
 }
 
 void Compensator::add_to_coarse(std::size_t slot, std::size_t r, CoarseCells const& coarse, Tile<per_cell>& tile) {
-  reset(coarse.box);
+  OccupiedRows const rows(coarse.box);
+  begin(coarse.level, coarse.box, rows);
+  values_.resize(std::max(values_.size(), std::size_t(cells_.cells())));
   Real* out = values_.data();
   for (LocalIndex place : places_.matched(slot)[r - 1]) *out++ = place < 0 ? 0 : at(coarse.level, place);
-  add(coarse.level, OccupiedRows(coarse.box), coarse.box.lower[2] - tile_reach, coarse.box.upper[2] + tile_reach, tile);
+  add_to_whole(tile);
 }
 
 void Compensator::add_to_remote(std::size_t brick, std::size_t w, Tile<per_cell>& tile) {
@@ -142,7 +278,8 @@ void Compensator::add_to_remote(std::size_t brick, std::size_t w, Tile<per_cell>
   auto const value = [&](std::size_t n, Index3 const& cell) {
     return remote_.data() + plan_.first(brick, n) + windows[n].cells.offset(cell);
   };
-  cells_ = window.cells;
+  OccupiedRows const rows(tile.cells().grow(-tile_reach));
+  begin(window.level, rows.box(), rows);
   values_.assign(value(w, cells_.lower), value(w, cells_.lower) + cells_.cells());
   if (!window.whole && w + 1 < windows.size()) {
     auto const coarse = [&](Index3 const& from) -> Real const* {
@@ -158,29 +295,56 @@ void Compensator::add_to_remote(std::size_t brick, std::size_t w, Tile<per_cell>
     Index3 const from = level.fold_at_walls(cell);
     if (from != cell) values_[std::size_t(cells_.offset(cell))] = values_[std::size_t(cells_.offset(from))];
   });
-  add(window.level, OccupiedRows(tile.cells().grow(-tile_reach)), tile.cells().lower[2], tile.cells().upper[2], tile);
+  add_to_whole(tile);
 }
 
-/// Add to planes [first, last] of a tile, where particles are near. A cell behind a wall has what the wall cell has.
-void Compensator::add(int l, OccupiedRows const& rows, int first, int last, Tile<per_cell>& tile) const {
-  Level const& level = hierarchy_.level(l);
+/// All planes of a tile, the density of which is kept whole.
+void Compensator::add_to_whole(Tile<per_cell>& tile) {
+  planes_ = cells_.extent(2);
+  for (int k = tile.cells().lower[2]; k <= tile.cells().upper[2]; ++k) add(k, tile);
+}
+
+/// Add to plane k of a tile, where particles are near. A cell behind a wall has what the wall cell has.
+void Compensator::add(int k, Tile<per_cell>& tile) {
+  Level const& level = hierarchy_.level(level_);
+  Real3 const& factor = compensation_.factor[std::size_t(level_)];
   Box const& all = tile.cells();
   Box const inside = level.cut_at_walls(all);
-  auto const add_part = [&](Index3 const& to, int from_x, int count) {
-    Index3 const from = level.fold_at_walls({from_x, to[1], to[2]});
-    add_differences(values_.data() + cells_.offset(from), cells_.stride(1), cells_.stride(2),
-                    compensation_.factor[std::size_t(l)], count, tile.row(to[0], to[1], to[2]));
+  int const middle = std::max(inside.lower[2], std::min(inside.upper[2], k));
+  Real const *const density = plane(middle), *const below = plane(middle - 1), *const above = plane(middle + 1);
+  auto const density_in = [&](int i, int j) {
+    std::ptrdiff_t const at = (j - cells_.lower[1]) * cells_.stride(1) + (i - cells_.lower[0]);
+    return DensityRow{density, below, above, cells_.stride(1)}.from(at);
   };
-  for (int k = first; k <= last; ++k)
-    for (int j = all.lower[1]; j <= all.upper[1]; ++j) {
-      RowPart const part = rows.near(j, k, tile_reach);
-      int const from = std::max(part.first, inside.lower[0]), to = std::min(part.last, inside.upper[0]);
-      if (from > to) continue;
-      add_part({from, j, k}, from, to - from + 1);
-      for (int i : {all.lower[0], all.upper[0]})
-        if ((i < inside.lower[0] || i > inside.upper[0]) && i >= part.first && i <= part.last)
-          add_part({i, j, k}, i < inside.lower[0] ? inside.lower[0] : inside.upper[0], 1);
+  near_tile_.go_to_plane(k);
+  Box columns = inside_;  // rows in which the two cells at each end alone are wanted
+  if (!near_tile_.holds(all.lower[0], all.upper[0]) || !(inside == all) || k < inside_.lower[2] || k > inside_.upper[2])
+    columns = Box{};
+  if (!columns.empty())
+    for (int i : {all.lower[0], inside_.upper[0] + 1})
+      add_to_columns(density_in(i, columns.lower[1]), factor, columns.extent(1), tile.row(i, columns.lower[1], k),
+                     tile.stride_y());
+  for (int j = all.lower[1]; j <= all.upper[1]; ++j) {
+    if (!columns.empty() && j == columns.lower[1]) j = columns.upper[1] + 1;
+    RowPart const& part = near_tile_(j);
+    RowPart const own = part.intersect(inside.lower[0], inside.upper[0]);
+    if (own.empty()) continue;
+    int const from_j = std::max(inside.lower[1], std::min(inside.upper[1], j));
+    auto const add_part = [&](int to, int from, int count) {
+      if (count > 0) add_differences(density_in(from, from_j), factor, count, tile.row(to, j, k));
+    };
+    auto const add_own = [&](RowPart const& cells) {
+      add_part(cells.first, cells.first, cells.last - cells.first + 1);
+    };
+    if (is_inside(j, k)) {
+      add_own(own.intersect(all.lower[0], inside_.lower[0] - 1));
+      add_own(own.intersect(inside_.upper[0] + 1, all.upper[0]));
+    } else {
+      add_own(own);
     }
+    if (part.first < inside.lower[0]) add_part(all.lower[0], inside.lower[0], 1);
+    if (part.last > inside.upper[0]) add_part(all.upper[0], inside.upper[0], 1);
+  }
 }
 
 }  // namespace amrpic

@@ -11,6 +11,7 @@
 #include "mesh/electric_field.hpp"
 #include "particle/clouds.hpp"
 #include "particle/compensator.hpp"
+#include "particle/difference_rows.hpp"
 #include "particle/particle_mesh.hpp"
 #include "particle/remote_bricks.hpp"
 #include "particle/tile.hpp"
@@ -20,10 +21,7 @@
 
 namespace amrpic {
 
-/// Three components per cell of a tile and one of padding, so that a cell fills a vector register.
-constexpr int lanes = 4;
 constexpr int components = ElectricField::components_per_cell;  ///< numbers per boundary cell
-typedef Real Cell __attribute__((vector_size(8 * lanes)));
 
 /// The field in the boundary cells of a level: own ones, and those of other ranks.
 struct BoundaryField {
@@ -60,23 +58,6 @@ inline BoundaryField with_halo(ElectricField const& field, int level, Halo const
   return out;
 }
 
-/// A row of cells inside a box: E as the difference of the potential across each. Cells beside the row are read.
-inline void difference_row(Real const* phi, std::ptrdiff_t y, std::ptrdiff_t z, Real3 const& factor, int count,
-                           Real* out) {
-  auto const between = [&](auto const& at, std::ptrdiff_t n, int axis, std::ptrdiff_t step) {
-    return field_between(factor[std::size_t(axis)], at(phi + n - step), at(phi + n + step));
-  };
-  int const whole = count / lane_count * lane_count;
-  for (int i = 0; i < whole; i += lane_count) {
-    bring_near(phi + i + z + page<Real>);  // harmless past the end
-    auto const eight = [](Real const* from) { return load<Lanes>(from); };
-    interleave(between(eight, i, 0, 1), between(eight, i, 1, y), between(eight, i, 2, z), out + lanes * i);
-  }
-  auto const one = [](Real const* from) { return *from; };
-  for (int i = whole; i < count; ++i)
-    store(out + lanes * i, Cell{between(one, i, 0, 1), between(one, i, 1, y), between(one, i, 2, z), 0});
-}
-
 inline void interleave_row(std::array<Real const*, 3> const& from, int count, Real* out) {
   int n = 0;
   for (; n + lane_count <= count; n += lane_count)
@@ -104,15 +85,22 @@ class Filler {
       : field_(field),
         at_(at),
         ghosts_(ghosts),
-        rows_(rows),
+        near_(rows, tile_reach),
         level_(field.hierarchy().level(at.level)),
         coarser_(field.hierarchy().level(std::max(0, at.level - 1))),
         box_(level_.box(at.box)),
         boundary_(fields[at.level]),
-        coarse_(fields[std::max(0, at.level - 1)]) {}
+        coarse_(fields[std::max(0, at.level - 1)]),
+        has_inner_rows_(field.potential() && !field.boundary(at.level).is_whole(at.box - level_.first_local_box())) {}
+
+  /// Let the tiles of the box, which has this slot, be compensated.
+  void compensate(std::size_t slot, Compensator& compensator, OccupiedRows const& rows) {
+    compensator_ = &compensator;
+    compensator.begin(slot, rows, has_inner_rows_);
+  }
 
   /// Fill the tile of a slab. The tile may be that of the slab before, if that one `precedes`.
-  void fill(Box const& slab, bool precedes, Tile<lanes>& tile) const {
+  void fill(Box const& slab, bool precedes, Tile<lanes>& tile) {
     int k = slab.lower[2] - tile_reach;
     if (precedes) {
       tile.follow(slab);
@@ -120,12 +108,16 @@ class Filler {
     } else {
       tile.reset(slab);
     }
-    for (; k <= slab.upper[2] + tile_reach; ++k) fill_plane(k, tile);
+    for (; k <= slab.upper[2] + tile_reach; ++k) {
+      fill_plane(k, tile);
+      if (compensator_) compensator_->add_to_plane(k, tile);
+    }
   }
 
  private:
-  void fill_plane(int k, Tile<lanes>& tile) const {
+  void fill_plane(int k, Tile<lanes>& tile) {
     bring_boundary_near(k + 1);
+    near_.go_to_plane(k);
     ghosts_.cells.for_each_run(k, [&](GhostRun const& run) {
       Real* const out = tile.row(run.first[0], run.first[1], k);
       std::ptrdiff_t const stride = run.axis == 0 ? lanes : tile.stride_y();
@@ -146,7 +138,7 @@ class Filler {
 
   /// Whether clouds of particles may touch a cell. What is interpolated elsewhere would be for nothing.
   bool is_near(Index3 const& cell) const {
-    RowPart const part = rows_.near(cell[1], cell[2], tile_reach);
+    RowPart const& part = near_(cell[1]);
     return cell[0] >= part.first && cell[0] <= part.last;
   }
 
@@ -168,17 +160,23 @@ class Filler {
 
   /// The box's own cells in plane k: the inner ones first, with what rows leave at their ends.
   void fill_by_potential(int k, Tile<lanes>& tile) const {
-    int const b = at_.box - level_.first_local_box(), nx = box_.extent(0), plane = nx * box_.extent(1);
-    if (!field_.boundary(at_.level).is_whole(b) && k > box_.lower[2] && k < box_.upper[2]) {
-      Real const* const phi = field_.potential()->level(at_.level).data() + level_.local_offset(at_.box);
-      for (int j = box_.lower[1] + 1; j < box_.upper[1]; ++j)
-        difference_row(phi + box_.offset({box_.lower[0], j, k}), nx, plane, field_.factor(at_.level), nx,
-                       tile.row(box_.lower[0], j, k));
-    }
+    if (has_inner_rows_ && k > box_.lower[2] && k < box_.upper[2])
+      for (int j = box_.lower[1] + 1; j < box_.upper[1]; ++j) fill_inner_row(j, k, tile.row(box_.lower[0], j, k));
     for_each_own_run(k, [&](BoundaryCells::CellRun const& run) {
       Real* const out = tile.row(box_.lower[0] + run.i, box_.lower[1] + run.j, k);
       boundary_.write(run.number, 1, run.count, out, run.axis == 0 ? lanes : tile.stride_y());
     });
+  }
+
+  void fill_inner_row(int j, int k, Real* out) const {
+    std::ptrdiff_t const y = box_.stride(1), z = box_.stride(2), row = box_.offset({box_.lower[0], j, k});
+    int const count = box_.extent(0);
+    DifferenceRow const phi{field_.potential()->level(at_.level).data() + level_.local_offset(at_.box) + row,
+                            field_.factor(at_.level)};
+    phi.bring_next_near(z, count);
+    if (!compensator_ || near_(j).empty())
+      return write_row([&](auto const&... of) { return phi.between(of...); }, y, z, count, out);
+    compensator_->write_row(phi, row, y, z, count, out);
   }
 
   void fill_by_components(int k, Tile<lanes>& tile) const {
@@ -195,10 +193,12 @@ class Filler {
   ElectricField const& field_;
   BoxGhosts const& at_;
   BoundaryPlaces::GhostPlaces const& ghosts_;
-  OccupiedRows const& rows_;
+  NearRows near_;
   Level const &level_, &coarser_;
   Box box_;
   BoundaryField const &boundary_, &coarse_;
+  Compensator* compensator_ = nullptr;
+  bool has_inner_rows_;  ///< whose field is the difference of the potential
 };
 
 inline void fill_coarse(std::vector<LocalIndex> const& places, BoundaryField const& field, Tile<lanes>& tile) {
@@ -439,18 +439,17 @@ void read_tiles(ParticleMesh& mesh, RemoteBricks const& remote, bool matched, El
       if (compensator) compensator->add_to_coarse(slot, r, c, tiles[r]);
     }
     Box const& box = hierarchy.level(at.level).box(at.box);
-    // To search for the bricks with particles takes a fifth of a gather, so it is left out where nothing asks for them.
-    bool const interpolates = !places.ghosts(slot).coarse.empty();
-    OccupiedRows const rows = compensator || interpolates
+    // To search for the bricks with particles takes time, so it is left out where little depends on it.
+    bool const interpolates = !places.ghosts(slot).coarse.empty(), is_crowded = last - first > box.cells();
+    OccupiedRows const rows = interpolates || (compensator && !is_crowded)
                                   ? OccupiedRows(box, mesh.locator().coordinates(at.level), particles, first, last)
                                   : OccupiedRows(box);
-    if (compensator) compensator->begin(slot, rows);
-    Filler const filler(field, at, places.ghosts(slot), own, rows);
+    Filler filler(field, at, places.ghosts(slot), own, rows);
+    if (compensator) filler.compensate(slot, *compensator, rows);
     bool precedes = false;  // whether tiles[0] is that of the slab before
     for_each_slab(mesh, at.level, box, reader.planes(box), particles, first, last,
                   [&](Box const& slab, auto from, auto to) {
                     if (from < to) filler.fill(slab, precedes, tiles[0]);
-                    if (from < to && compensator) compensator->add_to_slab(slab, precedes, tiles[0]);
                     precedes = from < to;
                     reader.read(at.level, slab, buffer, from, to);
                   });

@@ -20,6 +20,7 @@ import cases
 import charts
 import compare
 import compare_records
+import compensation
 import gamma
 import goals
 import growth
@@ -61,6 +62,12 @@ def test_order_4_is_timed_beside_order_2():
     assert all(len(record.seconds) == 2 and record.median > 0 for record in records.values())
     assert second.facts["cycles"] < means.facts["cycles"] <= 13
     assert points.facts["cycles"] == means.facts["cycles"]
+
+
+def test_steps_are_timed_with_each_compensation():
+    records = list(compensation.steps("triangular-shaped-cloud", 1000, 2, cells=24))
+    assert [record.name.split()[-1] for record in records] == ["none", "clouds", "clouds-and-mesh"]
+    assert all(len(record.seconds) == 2 and record.facts["stages"]["gather"] > 0 for record in records)
 
 
 def test_goals_in_work_units_take_the_least():

@@ -117,6 +117,30 @@ def test_added_field_is_the_difference_of_the_density_gathered(comm, shape, matc
     assert np.abs(found - expected)[deep].max(initial=0.0) < 1e-12 * comm.allreduce(size, MPI.MAX)
 
 
+@pytest.mark.mpi(ranks=(1, 2))
+@pytest.mark.parametrize("matched", [False, True])
+@pytest.mark.parametrize("boundary", ["open", "periodic"])
+@pytest.mark.parametrize("spread", [0.05, 0.3])
+def test_field_of_a_potential_is_felt_with_what_compensation_adds(comm, matched, boundary, spread):
+    """Rows inside boxes take both at once; some bricks hold no particles, or all do."""
+    domain = Domain(lower=0, upper=1, cells=CELLS, boundary=boundary)
+    hierarchy = Hierarchy(comm, domain, LEVELS, max_grid_size=16, blocking_factor=4)
+    position = np.clip(0.5 + spread * np.random.default_rng(7).standard_normal((20000, 3)), 0.001, 0.999)
+    particles, _ = migrate(particles_at(comm, position), hierarchy)
+    plain, clouds = (Clouds("triangular-shaped-cloud", matched, kind) for kind in ("none", "clouds"))
+    rho = deposit(particles, hierarchy, clouds)
+    phi = type(rho)(hierarchy, unit="V").fill(lambda x, y, z: 1e14 * np.sin(7 * x) * np.cos(5 * y + 2 * z))
+    efield = PoissonSolver(hierarchy, background="neutralizing").deferred_field(phi, covered=clouds.covered)
+    alone = gather(efield, particles, plain)
+    zeros = VectorField(*(type(rho)(hierarchy) for _ in range(3)))
+    compensate(zeros, rho, clouds)
+    more = gather(zeros, particles, clouds)
+    compensate(efield, rho, clouds)
+    size = comm.allreduce(np.abs(more).max(initial=0.0), MPI.MAX)
+    assert np.abs(alone).max(initial=0.0) < 1e3 * size < comm.allreduce(1e6 * np.abs(alone).max(initial=0.0), MPI.MAX)
+    assert np.abs(gather(efield, particles, clouds) - alone - more).max(initial=0.0) < 1e-11 * size
+
+
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("compensation", ["clouds", "clouds-and-mesh"])
 def test_no_particle_pushes_itself_on_a_uniform_mesh(shape, compensation):

@@ -1,0 +1,88 @@
+"""What compensated clouds take of a step: `python benchmarks/compensation.py`, on one rank.
+
+The step is one of leapfrog with the bunches and the mesh of examples/three_bunches.toml, from the same state each time. The
+choices take turns. The least of the turns counts, since what disturbs a run can only make it longer.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import get_args
+
+from measuring import CPU_TIME, ROOT, Record, timed, write
+from mpi4py import MPI
+
+from amrpic.particles.clouds import SHAPES, CompensationKind, Shape
+from amrpic.run.plan import Plan
+from amrpic.run.state import State
+from amrpic.run.step import advance, begin
+from amrpic.scene.scene import Scene
+
+KINDS: tuple[CompensationKind, ...] = get_args(CompensationKind)
+CELLS = 144  # of the base along an axis, as in the example
+DT = 1e-13  # s
+
+
+def name(kind: CompensationKind, shape: Shape, particles: int) -> str:
+    return f"step, {shape}, {particles:.0e} particles a bunch, compensation {kind}"
+
+
+def scene(kind: CompensationKind, shape: Shape, particles: int, cells: int = CELLS) -> Scene:
+    content = Scene.from_toml(ROOT / "examples" / "three_bunches.toml").model_dump()
+    for bunch in content["bunches"]:
+        bunch["particles"] = particles
+    content["domain"]["cells"] = cells
+    content["particles"] |= {"shape": shape, "compensation": kind}
+    content["motion"] = {"kind": "leapfrog", "dt": DT}
+    content["output"]["write"] = []
+    return Scene.model_validate(content)
+
+
+def steps(shape: Shape, particles: int, runs: int, cells: int = CELLS) -> Iterator[Record]:
+    """Yield the CPU seconds of a step with each choice; the least wall seconds of each stage are in the facts."""
+    plans = [Plan(MPI.COMM_SELF, scene(kind, shape, particles, cells)) for kind in KINDS]
+    states = [advance(begin(plan), plan) for plan in plans]  # the first step makes what lasts
+    seconds: list[list[float]] = [[] for _ in KINDS]
+    stages: list[list[dict[str, float]]] = [[] for _ in KINDS]
+    for _ in range(runs):
+        for n, (plan, state) in enumerate(zip(plans, states, strict=True)):
+            work: partial[State] = partial(advance, state, plan)
+            taken, after = timed(MPI.COMM_SELF, 1, work, CPU_TIME)
+            seconds[n] += taken
+            stages[n].append(after.seconds)
+    for kind, taken, spent in zip(KINDS, seconds, stages, strict=True):
+        least = {stage: min(each[stage] for each in spent) for stage in spent[0]}
+        yield Record(name(kind, shape, particles), taken, particles=particles, facts={"stages": least})
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=9, help="turns of each")
+    parser.add_argument("--particles", type=float, default=1e6, help="of each of the three bunches")
+    parser.add_argument(
+        "--shape", nargs="+", choices=list(SHAPES), default=["cloud-in-cell", "triangular-shaped-cloud"]
+    )
+    parser.add_argument("--output", type=Path, help="the JSON to write")
+    given = parser.parse_args()
+    records: list[Record] = []
+    for shape in given.shape:
+        found = list(steps(shape, int(given.particles), given.runs))
+        for record in found:
+            spent = ", ".join(f"{stage} {1e3 * seconds:.1f}" for stage, seconds in record.facts["stages"].items())
+            least = min(record.seconds)
+            print(
+                f"{record.name}: {1e3 * least:.1f} ms, {least / min(found[0].seconds):.3f} of none's; {spent}",
+                flush=True,
+            )
+        records += found
+    if given.output is not None:
+        write(given.output, records)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -28,8 +28,14 @@ SMOOTHING: dict[Shape, float] = {
     "cloud-in-cell": 1 / 12,
     "triangular-shaped-cloud": 1 / 8,
 }
-# h²Δ, what the Laplacian and the difference of φ do to E: 0.05 in the mean over all directions, and 0.015 for the terms in h⁴
-# that are left, which makes the error of a round bunch least at four cells per σ.
+# In cubes, of h²Δ: for the terms in h⁴ that clouds and the slope of the density leave ...
+OF_HIGHER: dict[Shape, float] = {
+    "nearest-grid-point": 0.0,
+    "cloud-in-cell": 0.0,
+    "triangular-shaped-cloud": 0.02,  # from the error of a round bunch with two cells per σ
+}
+# ... and what the Laplacian and the difference of φ do to E, those terms with it: 0.05 in the mean over all directions, and
+# 0.015, which makes the error of a round bunch least at four cells per σ.
 OF_MESH = 0.065
 CUBES = 1.001  # largest width over the smallest one of cells that count as cubes
 
@@ -59,8 +65,8 @@ class Clouds:
         if self.compensation == "none":
             return 0.0
         cubes = bool(widths.max() <= CUBES * widths.min())
-        of_mesh = OF_MESH if self.compensation == "clouds-and-mesh" and cubes else 0.0
-        return (2 * SMOOTHING[self.shape] + of_mesh) * float(widths.min()) ** 2
+        further = OF_MESH if self.compensation == "clouds-and-mesh" else OF_HIGHER[self.shape]
+        return (2 * SMOOTHING[self.shape] + (further if cubes else 0.0)) * float(widths.min()) ** 2
 
     @property
     def native(self) -> tuple[_native.Shape, bool, bool]:

@@ -170,7 +170,7 @@ def _without_noise(comm: MPI.Comm) -> Table:
     )
 
 
-LEFT: Mapping[int, tuple[float | None, float]] = {2: (None, 0.25), 4: (0.25, 0.12), 8: (0.25, 0.12)}  # the most, by σ/h
+LEFT: Mapping[int, tuple[float | None, float]] = {2: (0.25, 0.25), 4: (0.25, 0.12), 8: (0.25, 0.12)}  # the most, by σ/h
 
 
 def _beside(errors: Sequence[float], *bounds: float | None) -> list[Cell]:

@@ -20,6 +20,15 @@ from rank_subsets import first_ranks, hierarchy_of, wait_quietly
 CASES = all_cases()
 NAMES = ("no_fine", "composite", "coarse_boundary", "fine_boundary", "restriction", "prolongation", "uncovered")
 each_case = pytest.mark.parametrize("name", CASES, scope="module")
+LONG = {
+    "corner of large blocks",
+    "L of large blocks",
+    "U of large blocks in a periodic box",
+    "all refined",
+}  # to the oracle
+each_case_of_the_oracle = pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.long) if name in LONG else name for name in CASES], scope="module"
+)
 
 
 def matrices(solver: amrpic.PoissonSolver, level: int) -> SimpleNamespace:
@@ -78,7 +87,7 @@ def differences(name: str, comm: Any) -> dict[tuple[int, str], float]:
     return result
 
 
-@each_case
+@each_case_of_the_oracle
 @pytest.mark.mpi(ranks=3, timeout=120)
 def test_operators_equal_the_oracle_on_one_two_and_three_ranks(name, comm):
     for ranks in (1, 2, 3):
@@ -145,7 +154,7 @@ def entries(solver: amrpic.PoissonSolver) -> list[np.ndarray]:
 HERE, THERE = ((80, 80, 80), (111, 111, 111)), ((96, 96, 96), (127, 127, 127))
 
 
-@pytest.mark.mpi(ranks=(1, 2, 3))
+@pytest.mark.mpi(ranks=(1, 2), more=(3,))
 def test_only_levels_that_changed_are_assembled_anew(comm):
     """The finest level moves: its operators and the next coarser ones are new, all others are handed on, and equal."""
     first = amrpic.PoissonSolver(nested(comm, HERE), backend="crs")

@@ -63,7 +63,7 @@ def test_every_cloud_is_gathered_by_its_rule(comm):
             assert found == pytest.approx(expected, rel=0, abs=1e-12), (case.name, clouds)
 
 
-@pytest.mark.mpi(ranks=(1, 4), timeout=120)
+@pytest.mark.mpi(ranks=(1, 3), more=(4,), timeout=120)
 def test_every_cloud_keeps_the_total_charge(comm):
     for case in CASES.values():
         hierarchy, particles = placed(case, comm, 300)
@@ -261,7 +261,7 @@ def peak(solver: PoissonSolver, line: str, clouds: Clouds, offsets: tuple[float,
 
 
 # Measured: own-level 0.42, 0.62, 0.66 at d = 0.5; matched 0.0082, 0.011, 0.015 at d = 1.
-@pytest.mark.mpi(ranks=(1, 2), timeout=120)
+@pytest.mark.mpi(ranks=(2,), more=(1,), timeout=120)
 def test_matched_particles_hardly_push_themselves_near_coarse_fine_faces(comm):
     solver = cube(comm)
     for line, own, bound in (("face", 0.4, 1.5e-2), ("edge", 0.6, 2.5e-2), ("corner", 0.6, 4e-2)):
@@ -272,7 +272,7 @@ def test_matched_particles_hardly_push_themselves_near_coarse_fine_faces(comm):
 
 
 # Measured: own-level 0.31, 0.66, 0.037; matched 0.0064, 0.0052, 0.0007.
-@pytest.mark.mpi(ranks=(1, 2), timeout=120)
+@pytest.mark.mpi(ranks=(2,), more=(1,), timeout=120)
 def test_matched_particles_hardly_push_themselves_at_nested_levels_and_in_concave_edges(comm):
     """Levels one coarse cell apart, where the coarse cloud itself lies in the buffer of its level; an L-shaped region."""
     domain = amrpic.Domain((0, 0, 0), (CELLS,) * 3, (CELLS,) * 3, "open")

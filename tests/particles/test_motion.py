@@ -13,7 +13,7 @@ from amrpic.units import ELEMENTARY_CHARGE, SPEED_OF_LIGHT
 from amrpic.verify.orbits import MC, Orbits, accelerated, turning
 
 
-@pytest.mark.parametrize("drift", [0.0, 0.3])
+@pytest.mark.parametrize("drift", [0.0, pytest.param(0.3, marks=pytest.mark.long)])
 @pytest.mark.parametrize("pusher", PUSHERS)
 def test_a_uniform_magnetic_field_turns_and_keeps_the_magnitude(pusher, drift):
     errors, change = turning(pusher, drift)

@@ -383,7 +383,7 @@ def test_a_random_walk_spreads_the_particles_of_a_plan():
     assert Planner(made).plan(1).moved > 0.5 > Planner(scene()).plan(1).moved > 0
 
 
-@pytest.mark.parametrize("step", ["300 ps", "2 ns"])
+@pytest.mark.parametrize("step", [pytest.param("300 ps", marks=pytest.mark.long), "2 ns"])
 def test_particles_that_leave_ranks_and_nodes_are_those_of_a_migration(step: str):
     made, ranks = Scene.from_dict({**SCENE, "motion": {"kind": "leapfrog", "dt": step}}), 12
     mesh = Hierarchy(VirtualRank(0, ranks), made.domain.value, [[((16, 16, 16), (79, 79, 79))]], 16, 8)

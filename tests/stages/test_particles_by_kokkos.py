@@ -39,7 +39,7 @@ def apart(found: np.ndarray, expected: np.ndarray) -> float:
     return float(np.nanmax(np.abs(found - expected), initial=0) / largest) if largest > 0 else 0.0
 
 
-@pytest.mark.mpi(ranks=(1, 2, 3, 4), timeout=240)
+@pytest.mark.mpi(ranks=(1, 2, 3), more=(4,), timeout=240)
 def test_every_cloud_is_deposited_and_gathered_alike(comm):
     """Bricks that other ranks own than serve them, matched clouds near faces, walls and periodic faces among them."""
     for case in CASES:
@@ -161,7 +161,7 @@ def test_particles_moved_behind_the_back_of_migrate_are_refused_by_all_ranks(com
                 assert messages[0] == messages[1]
 
 
-@pytest.mark.mpi(ranks=(1, 2, 3, 4), timeout=120)
+@pytest.mark.mpi(ranks=(1, 2, 3), more=(4,), timeout=120)
 def test_a_run_with_this_backend_is_that_of_vectors(comm):
     def outcome(backend: str) -> np.ndarray:
         scene = Scene.from_dict(

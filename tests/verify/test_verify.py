@@ -193,7 +193,7 @@ def test_tables_are_the_same_on_one_two_and_three_ranks(comm, topic, tables):
 # ---- backends ----
 
 
-@pytest.mark.mpi(ranks=2, more=(1,))
+@pytest.mark.mpi(ranks=1, more=(2,))
 def test_backends_are_compared_as_soon_as_there_are_two(comm):
     found = list(backends.tables(comm))
     assert len(found) == len(get_args(solver_options.Backend)) - 1
@@ -330,7 +330,7 @@ def test_speed_against_error_of_a_scene(comm, tmp_path):
         assert (tmp_path / "pictures" / "verify_speed_against_error_drift.png").stat().st_size > 1000
 
 
-@pytest.mark.mpi(ranks=2, more=(1,), timeout=120)
+@pytest.mark.mpi(ranks=1, more=(2,), timeout=120)
 def test_a_scene_of_order_4_is_measured_in_both_orders(comm, tmp_path):
     scene = Scene.from_dict(
         {

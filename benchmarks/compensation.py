@@ -59,6 +59,18 @@ def steps(shape: Shape, particles: int, runs: int, cells: int = CELLS) -> Iterat
         yield Record(name(kind, shape, particles), taken, particles=particles, facts={"stages": least})
 
 
+def told(shape: Shape, particles: int, runs: int) -> list[Record]:
+    """Return `steps`, after a line for each."""
+    found = list(steps(shape, particles, runs))
+    for record in found:
+        least = min(record.seconds)
+        spent = ", ".join(f"{stage} {1e3 * seconds:.1f}" for stage, seconds in record.facts["stages"].items())
+        print(
+            f"{record.name}: {1e3 * least:.1f} ms, {least / min(found[0].seconds):.3f} of none's; {spent}", flush=True
+        )
+    return found
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=9, help="turns of each")
@@ -68,17 +80,7 @@ def main() -> int:
     )
     parser.add_argument("--output", type=Path, help="the JSON to write")
     given = parser.parse_args()
-    records: list[Record] = []
-    for shape in given.shape:
-        found = list(steps(shape, int(given.particles), given.runs))
-        for record in found:
-            spent = ", ".join(f"{stage} {1e3 * seconds:.1f}" for stage, seconds in record.facts["stages"].items())
-            least = min(record.seconds)
-            print(
-                f"{record.name}: {1e3 * least:.1f} ms, {least / min(found[0].seconds):.3f} of none's; {spent}",
-                flush=True,
-            )
-        records += found
+    records = [record for shape in given.shape for record in told(shape, int(given.particles), given.runs)]
     if given.output is not None:
         write(given.output, records)
     return 0

@@ -14,16 +14,7 @@ from amrpic.io.shared_file import part_of
 from amrpic.io.writer_ranks import Writers
 from full_disk import file_size_limit
 from linear_dump import ABOUT, DOMAIN, dumped, phi_at, write
-
-
-def vtk_read(path):
-    from vtkmodules.vtkIOHDF import vtkHDFReader
-
-    reader = vtkHDFReader()
-    reader.SetFileName(str(path))
-    reader.SetMaximumLevelsToReadByDefaultForAMR(0)  # all
-    reader.Update()
-    return reader.GetOutput()
+from vtk_files import vtk_read
 
 
 def vtk_cells(image):

@@ -21,6 +21,7 @@ from amrpic.mpm.sample import mesh_of, sample
 from amrpic.results import report
 from amrpic.results.compare import compare
 from amrpic.verify.mpm import press
+from vtk_files import vtk_read
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 RUBBER = {"law": "neo-hookean", "young": "300 MPa", "poisson": 0.25, "density": 1000}
@@ -185,16 +186,6 @@ def by_id(comm, points):
 BRITTLE = {**RUBBER, "damage": {"toughness": "200 kJ/m^2", "length": "1 m"}}
 TWO = {"grain": {**BRITTLE, "young": "2 GPa"}, "binder": BRITTLE}
 GRAINS = {"kind": "voronoi", "grains": 5, "grain": "grain", "binder": "binder", "seed": 2}
-
-
-def vtk_read(path):
-    from vtkmodules.vtkIOHDF import vtkHDFReader
-
-    reader = vtkHDFReader()
-    reader.SetFileName(str(path))
-    reader.SetMaximumLevelsToReadByDefaultForAMR(0)  # all
-    reader.Update()
-    return reader.GetOutput()
 
 
 def test_files_of_a_run_say_what_its_points_have(tmp_path):

@@ -357,12 +357,12 @@ WAYS = {
     1: {"SIGUSR1": 75, "SIGINT": 75, "STOP": 75, "walltime": 75, "SIGTERM": 75, "SIGHUP": 75},
     2: {"SIGUSR1": 75, "SIGINT": 1, "STOP": 75, "walltime": 75, "SIGTERM": 1},
 }
-IN_SHORT = {1: ("SIGUSR1", "SIGINT", "STOP", "walltime"), 2: ("SIGUSR1", "SIGTERM")}
+IN_SHORT = {1: ("SIGUSR1", "SIGINT", "STOP", "walltime"), 2: ("SIGUSR1", "SIGINT", "SIGTERM")}
 
 
 @pytest.mark.parametrize("ranks", WAYS)
 def test_stopped_in_every_way_and_resumed_each_time_it_ends_bit_by_bit_as_undisturbed(tmp_path, ranks, long):
-    """Each stop leaves a checkpoint; the resumed runs, two to six, make one series without gap or repetition."""
+    """Each stop leaves a checkpoint; the resumed runs, three to six, make one series without gap or repetition."""
     text = SCENE.format(last=STEPS, motion=MOTIONS["leapfrog"].replace("0.2", "0.01"))  # the bunch stays inside
     for ours, here in ("checkpoint_every = 1", "checkpoint_every = 25"), ("fields_every = 4", "fields_every = 150"):
         text = text.replace(ours, here)

@@ -246,9 +246,10 @@ def _last_mesh(fields: ParticleFields) -> tuple[Hierarchy, str]:
     A random walk can be foreseen; in one leap, so that particles leave the domain and coarse cells behind only there.
     """
     plan, motion = fields.plan, fields.plan.scene.motion
-    regrids = [step for step in range(1, plan.scene.schedule.last_step + 1) if plan.regrids_at(step)]
+    end, refinement = plan.scene.schedule.last_step, plan.scene.refinement
+    regrids = [step for step in range(1, end + 1) if refinement.regrids_at(step)]
     if not isinstance(motion, RandomWalk) or not regrids or regrids[-1] > FORESEEN:
-        moves = plan.scene.schedule.last_step > 0 and plan.scene.refinement.follows
+        moves = end > 0 and refinement.follows
         return fields.hierarchy, f"on this mesh{'; more if it grows' if moves else ''}"
     particles = fields.particles
     for step in range(1, regrids[-1] + 1):

@@ -19,7 +19,7 @@ from .equilibrium import EquilibriumReport, equilibrium
 from .solid import Solid
 
 OF_DAMAGE = 1e-4  # tolerance of the damage of nodes, over that of forces that it may move
-MOST_BEYOND = 4.0  # times what a turn changes damage by, that the next one's may be changed
+MOST_BEYOND = 4.0  # the longest step of damage, over the change that a turn leads to
 FIRST_WITHIN, WITHIN = 3e-2, 0.3  # tolerances of equilibrium in the first turn, and over what the last one left
 WEAK = (
     1e-3  # of the largest G/ℓ: what materials that do not break have of it, so that damage goes on smoothly into them
@@ -166,9 +166,9 @@ def settle(
 
 
 def _farther_on(solid: Solid, past: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-    """Damage of nodes for the next turn: beyond what the last one led to, by the step of Barzilai and Borwein. Collective.
+    """Return nodes' damage for the next turn: the change that the last one led to, times Barzilai and Borwein's step length.
 
-    Never back, and no more than so many times as far: turns leave states that are not stable, and are not to be held there.
+    Collective. The step length is at least 1: turns leave states that are not stable, and shorter steps could hold them there.
     """
     (x, led_x), (y, led_y) = past
     moved, less = y - x, (led_x - x) - (led_y - y)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Literal, Self
@@ -48,19 +49,19 @@ class Cuboid(Section):
         return np.asarray(inside.all(axis=1))
 
 
-class Structure(Section):
+class Structure(Section, ABC):
     """What all kinds of structure have."""
 
+    @abstractmethod
     def names(self, materials: Sequence[str]) -> Names:
         """Yield the materials that are named, and where."""
-        raise NotImplementedError
 
+    @abstractmethod
     def labels(self, places: np.ndarray, corners: Corners, materials: Sequence[str]) -> np.ndarray:
         """Return the number of the material at each place (n, 3) in m, (n,); -1 where there is none. Local.
 
-        SceneError for a file that is not there, is something else, or has a label that means no material.
+        Raises SceneError for a file that is not there, is something else, or has a label that means no material.
         """
-        raise NotImplementedError
 
     def check(self) -> None:
         """Raise SceneError as `labels` does."""

@@ -28,14 +28,14 @@ SMOOTHING: dict[Shape, float] = {
     "cloud-in-cell": 1 / 12,
     "triangular-shaped-cloud": 1 / 8,
 }
-# In cubes, of h²Δ: for the terms in h⁴ that clouds and the slope of the density leave ...
+# What κ has besides in cubes, over h²/ε₀. With "clouds": for the terms in h⁴ that clouds and the difference of ρ leave.
 OF_HIGHER: dict[Shape, float] = {
     "nearest-grid-point": 0.0,
     "cloud-in-cell": 0.0,
     "triangular-shaped-cloud": 0.02,  # from the error of a round bunch with two cells per σ
 }
-# ... and what the Laplacian and the difference of φ do to E, those terms with it: 0.05 in the mean over all directions, and
-# 0.015, which makes the error of a round bunch least at four cells per σ.
+# With "clouds-and-mesh": for what the Laplacian and the difference of φ do to E, 0.05 in the mean over all directions, and
+# for all terms in h⁴ together, 0.015, which makes the error of a round bunch least at four cells per σ.
 OF_MESH = 0.065
 CUBES = 1.001  # largest width over the smallest one of cells that count as cubes
 

@@ -163,7 +163,8 @@ def _tried(comm: MPI.Comm, scene: Scene, end: float) -> tuple[Trial, int, int]:
                 begun = time.perf_counter()
                 simulation.advance()
                 record.state(simulation.state, [])
-                taken.append((plan.regrids_at(simulation.step), time.perf_counter() - begun))
+                regrids = plan.scene.refinement.regrids_at(simulation.step)
+                taken.append((regrids, time.perf_counter() - begun))
         begun = time.perf_counter()
         simulation.checkpoint(folder / "checkpoint")
         dump = time.perf_counter() - begun

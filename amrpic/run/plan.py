@@ -256,10 +256,6 @@ class Plan:
         total, square = self.comm.allreduce(np.array([weight.sum(), weight @ weight]))
         return bool(total > 0) and law(total**2 / square, moments(self.comm, bunch).rms / widths)
 
-    def regrids_at(self, step: int) -> bool:
-        """Whether the mesh follows the particles in this step, whatever they do."""
-        return self.scene.refinement.regrids_at(step)
-
     def note(self, sentence: str) -> None:
         """Note for the log what the run chose by itself, once."""
         if sentence not in self.notes:

@@ -38,7 +38,7 @@ def advance(state: State, plan: Plan) -> State:
         particles, deposition, lost, screens = fly(state, moved, course.window, plan)
     frames = plan.frames(particles, state.solution.frames, lost.particles, anew=step % EVERY == 0)
     fields = ParticleFields(particles, state.hierarchy, plan, state.solution, frames, deposition)
-    if plan.regrids_at(step) or outrun(fields):
+    if plan.scene.refinement.regrids_at(step) or outrun(fields):
         fields = follow(fields, plan.scene.refinement.hysteresis)
     regridded = fields.hierarchy is not state.hierarchy
     return state_of(plan, fields.particles, fields.solution, lost, screens, course, step, now, plan.dt / 2, regridded)

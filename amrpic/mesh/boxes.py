@@ -41,6 +41,22 @@ def scaled_cells(cells: tuple[int, int, int], factor: float, block: int) -> tupl
     return tuple(max(step * round(n * factor / step), step, 2) for n, step in zip(cells, steps, strict=True))  # type: ignore[return-value]
 
 
+def unique_rows(rows: Array) -> tuple[Array, Array]:
+    """Return the different ones of rows (n, k) of integers in lexicographic order, and the place of each row among them, (n,).
+
+    Rows become numbers, which are sorted much faster than `numpy.unique` sorts rows.
+    """
+    if not len(rows):
+        return rows, np.zeros(0, dtype=np.int64)
+    lower = rows.min(axis=0).astype(np.int64)
+    extent = rows.max(axis=0) - lower + 1
+    if np.prod(extent, dtype=float) >= 2**62:
+        found, which = np.unique(rows, axis=0, return_inverse=True)
+        return found, which.ravel()
+    numbers, which = np.unique(np.ravel_multi_index(tuple((rows - lower).T), tuple(extent)), return_inverse=True)
+    return np.stack(np.unravel_index(numbers, tuple(extent)), axis=1) + lower, which
+
+
 def rows_of(boxes: Array) -> Array:
     """Return boxes, or cells, as native functions take them."""
     return np.ascontiguousarray(boxes, dtype=np.int32)

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from .. import _native
-from ..mesh.boxes import Array
+from ..mesh.boxes import Array, unique_rows
 from ..mesh.hierarchy import Hierarchy
 from ..parallel import Traffic
 from ..stages.migrate import brick_cost, share_out
@@ -165,7 +165,7 @@ def exchange(mesh: Hierarchy, rows: Array, pairs: Array, parts: Array, first: Ar
 def _meetings(ranks: int, brick: Array, server: Array, owner: Array, cells: Array) -> tuple[Array, Array, Array, Array]:
     """Return servers and owners that meet, how many bricks one names to the other, and how many cells pass, each (n,)."""
     meetings, member = np.unique(server * ranks + owner, return_inverse=True)
-    named = np.unique(np.column_stack([member, brick]), axis=0)  # a brick is named once, whatever its windows
+    named, _ = unique_rows(np.column_stack([member, brick]))  # a brick is named once, whatever its windows
     names = np.bincount(named[:, 0], minlength=len(meetings))
     values = np.bincount(member, cells, len(meetings)).astype(np.int64)
     return meetings // ranks, meetings % ranks, names, values

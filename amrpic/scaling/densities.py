@@ -102,7 +102,13 @@ def _product(axes: Sequence[Callable[[np.ndarray], np.ndarray]]) -> Callable[[Ed
 
 
 def _counted(points: np.ndarray) -> Callable[[Edges], np.ndarray]:
-    return lambda edges: np.histogramdd(points, edges)[0] / len(points)
+    points = points[np.argsort(points[:, 0])]
+
+    def shares(edges: Edges) -> np.ndarray:
+        first, end = np.searchsorted(points[:, 0], edges[0][0]), np.searchsorted(points[:, 0], edges[0][-1], "right")
+        return np.histogramdd(points[first:end], edges)[0] / len(points)
+
+    return shares
 
 
 class Densities:

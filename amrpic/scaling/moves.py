@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .. import _native
-from ..mesh.boxes import Array
+from ..mesh.boxes import Array, unique_rows
 from ..mesh.hierarchy import Hierarchy
 from .bricks import WORD, Bricks, Served
 
@@ -35,10 +35,10 @@ def moves(bricks: Bricks, mesh: Hierarchy, displacements: Array) -> Moves:
     What comes into bricks without particles counts as moved alone.
     """
     levels, extents = bricks.rows[:, 0], bricks.cells[:, 3:] - bricks.cells[:, :3] + 1
-    kinds, kind = np.unique(np.column_stack([levels, extents]), axis=0, return_inverse=True)
+    kinds, kind = unique_rows(np.column_stack([levels, extents]))
     found, moved = [(np.zeros((0, 2), dtype=np.int64), np.zeros(0))], 0.0
     for number, (level, *extent) in enumerate(kinds.tolist()):
-        here = np.flatnonzero(kind.ravel() == number)
+        here = np.flatnonzero(kind == number)
         offsets, chance = _crossings(displacements / (np.array(extent) * mesh.spacing(level)))
         moved += float(bricks.particles[here].sum() * chance.sum())
         for offset, part in zip(offsets, chance, strict=True):
@@ -47,8 +47,8 @@ def moves(bricks: Bricks, mesh: Hierarchy, displacements: Array) -> Moves:
             target = bricks_at(bricks, mesh, at.reshape(-1, 3))
             pairs = np.column_stack([np.repeat(here, len(inside)), target])[target >= 0]
             found.append((pairs, np.full(len(pairs), part / len(inside))))
-    pairs, which = np.unique(np.concatenate([pairs for pairs, _ in found]), axis=0, return_inverse=True)
-    part = np.bincount(which.ravel(), np.concatenate([part for _, part in found]), len(pairs))
+    pairs, which = unique_rows(np.concatenate([pairs for pairs, _ in found]))
+    part = np.bincount(which, np.concatenate([part for _, part in found]), len(pairs))
     return Moves(pairs[:, 0], pairs[:, 1], part, moved / max(bricks.total, 1e-300))
 
 
@@ -61,8 +61,8 @@ def _crossings(steps: Array) -> tuple[Array, Array]:
     for more in itertools.product((0, 1), repeat=3):
         offsets.append(first + more)
         chances.append(np.where(more, beyond, 1 - beyond).prod(axis=1))
-    unique, which = np.unique(np.concatenate(offsets).astype(np.int64), axis=0, return_inverse=True)
-    chance = np.bincount(which.ravel(), np.concatenate(chances), len(unique)) / max(len(steps), 1)
+    unique, which = unique_rows(np.concatenate(offsets).astype(np.int64))
+    chance = np.bincount(which, np.concatenate(chances), len(unique)) / max(len(steps), 1)
     leaves = unique.any(axis=1) & (chance > 0)
     return unique[leaves], chance[leaves]
 

@@ -7,6 +7,7 @@ import math
 import numpy as np
 from mpi4py import MPI
 
+from ..mesh.boxes import unique_rows
 from ..particles.particles import Particles
 from ..units import Quantity
 
@@ -56,7 +57,7 @@ def loss_map(
 
 def _summed(keys: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return each key (cause, bin) once, in order, and the sums of its values."""
-    once, place = np.unique(keys, axis=0, return_inverse=True)
+    once, place = unique_rows(keys)
     out = np.zeros((len(once), values.shape[1]))
-    np.add.at(out, place.reshape(-1), values)
+    np.add.at(out, place, values)
     return once, out

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from amrpic import Domain, Hierarchy
-from amrpic.mesh.boxes import table_of
+from amrpic.mesh.boxes import table_of, unique_rows
 
 MOST = 200  # bytes per box and level
 
@@ -26,6 +26,21 @@ def lattice(start: int, size: int, step: int, count: int) -> np.ndarray:
     """Boxes of `size` cells along each axis, `step` apart."""
     lower = start + step * np.stack(np.meshgrid(*3 * [np.arange(count)], indexing="ij"), axis=-1).reshape(-1, 3)
     return np.hstack([lower, lower + size - 1])
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        np.random.default_rng(1).integers(-3, 5, (400, 3)),
+        np.random.default_rng(2).integers(0, 2**40, (50, 2)).repeat(2, axis=0),  # not numbered by an integer
+        np.array([[7, -1]], dtype=np.int32),
+        np.zeros((0, 4), dtype=np.int64),
+    ],
+    ids=["small", "large", "one", "none"],
+)
+def test_different_rows_are_those_of_numpy(rows):
+    found, which = unique_rows(rows)
+    assert np.array_equal(found, np.unique(rows, axis=0)) and np.array_equal(found[which], rows)
 
 
 @pytest.mark.mpi(ranks=(1, 2))

@@ -62,7 +62,7 @@ def expectation(name: str, boxes: tuple[bytes, ...]) -> tuple[Oracle, list[dict[
     oracle = Oracle(CASES[name], [np.frombuffer(level, dtype=np.int64).reshape(-1, 6) for level in boxes])
     operators = [by_name(oracle.operators(level)) for level in range(oracle.levels)]
     for level, expected in enumerate(operators):
-        expected["constant prolongation"] = oracle.operators(level, "constant").prolongation
+        expected["constant prolongation"] = oracle.prolongation(level, "constant")
     return oracle, operators
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from copy import deepcopy
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -63,6 +64,12 @@ SCENE = {
 
 def scene() -> Scene:
     return Scene.from_dict(SCENE)
+
+
+@cache
+def planner() -> Planner:
+    """Of the scene, which many tests ask; it keeps nothing of what it is asked."""
+    return Planner(scene())
 
 
 @pytest.mark.mpi(ranks=(2, 3, 4), timeout=300)
@@ -284,7 +291,7 @@ def test_cycles_are_gone_through_for_all_ranks():
     for n, level in enumerate(each[0]):
         assert found.relaxed[level.level] == max(work[n].relaxed for work in each)
         assert found.sweeps[level.level] == level.sweeps
-    assert Planner(made).plan(60, looked_at=4).most("cycle", "messages") >= found.messages.max() > 0
+    assert planner().plan(60, looked_at=4).most("cycle", "messages") >= found.messages.max() > 0
 
 
 def test_walls_of_many_ranks_are_gone_through_at_even_distances():
@@ -292,10 +299,10 @@ def test_walls_of_many_ranks_are_gone_through_at_even_distances():
 
 
 def test_plans_of_all_ranks_hold_all_cells_and_particles():
-    planner = Planner(scene())
-    for plan in planner.plans([1, 5], looked_at=3):
+    of_scene = planner()
+    for plan in of_scene.plans([1, 5], looked_at=3):
         assert plan.cells.shape == (3, plan.ranks)
-        assert plan.cells.sum(axis=1).tolist() == [planner.mesh.cells(level) for level in range(3)]
+        assert plan.cells.sum(axis=1).tolist() == [of_scene.mesh.cells(level) for level in range(3)]
         assert plan.particles.sum() == pytest.approx(300_000, rel=0.01)
         assert plan.wall_work[0] >= 6 * 48**2 / 64 / plan.ranks
         assert sum(load.bytes for load in plan.checkpoint) > 300_000 * 88
@@ -357,8 +364,8 @@ def test_all_neighbours_are_found():
 
 
 def test_few_ranks_show_what_the_busiest_one_sends():
-    planner = Planner(scene())
-    few, all_ = planner.plan(40, looked_at=10), planner.plan(40, looked_at=40)
+    of_scene = planner()
+    few, all_ = of_scene.plan(40, looked_at=10), of_scene.plan(40, looked_at=40)
     assert len(all_.looked_at) == 40 and len(few.walls) == 40
     assert few.most("cycle", "messages") == all_.most("cycle", "messages")
     assert few.most("open walls", "messages") == all_.most("open walls", "messages")
@@ -380,7 +387,7 @@ def test_a_random_walk_spreads_the_particles_of_a_plan():
             mean = (along * middle).sum() / along.sum()
             spread.append((along * (middle - mean) ** 2).sum() / along.sum())
         assert spread[1] - spread[0] == pytest.approx(4 * 0.003**2 / 3, rel=0.1)
-    assert Planner(made).plan(1).moved > 0.5 > Planner(scene()).plan(1).moved > 0
+    assert Planner(made).plan(1).moved > 0.5 > planner().plan(1).moved > 0
 
 
 @pytest.mark.parametrize("step", [pytest.param("300 ps", marks=pytest.mark.long), "2 ns"])

@@ -12,9 +12,9 @@ import itertools
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from fractions import Fraction
-from functools import cache
+from functools import cache, wraps
 from types import SimpleNamespace
-from typing import Any, NamedTuple
+from typing import Any, Concatenate, NamedTuple, ParamSpec, TypeVar, cast
 
 import numpy as np
 import scipy.sparse as sp
@@ -151,9 +151,8 @@ def face_types(boundary: Any) -> list[tuple[str, str]]:
 
 
 def shifted(cell: Cell, axis: int, step: int) -> Cell:
-    moved = list(cell)
-    moved[axis] += step
-    return (moved[0], moved[1], moved[2])
+    i, j, k = cell
+    return (i + step, j, k) if axis == 0 else (i, j + step, k) if axis == 1 else (i, j, k + step)
 
 
 def parent(cell: Cell) -> Cell:
@@ -181,6 +180,23 @@ def add(form: Form, other: Form, factor: float = 1.0) -> None:
         form[key] = form.get(key, 0.0) + factor * weight
 
 
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+def found_once(method: Callable[Concatenate[Oracle, P], T]) -> Callable[Concatenate[Oracle, P], T]:
+    """Let an oracle keep what a method returns for the same arguments; nobody may change it."""
+
+    @wraps(method)
+    def found(self: Oracle, *given: P.args, **named: P.kwargs) -> T:
+        key = (method.__name__, given, *named.items())
+        if key not in self.found:
+            self.found[key] = method(self, *given, **named)
+        return cast(T, self.found[key])
+
+    return found
+
+
 class Oracle:
     """The operators of a hierarchy given by its domain (lower, upper, cells, boundary) and the boxes of each level."""
 
@@ -194,8 +210,9 @@ class Oracle:
         length = np.array(domain.upper, dtype=float) - self.lower
         self.spacing = [length / np.array(extent) for extent in self.extent]
         self.interfaces: dict[Wall, str] = {}  # the name of the fit behind each
-        self.slopes: dict[tuple[Wall, bool], Form] = {}
+        self.found: dict[tuple[Any, ...], Any] = {}
         self.refined = [{parent(cell) for cell in level} for level in self.cells[1:]] + [set()]
+        self.usable = [set(cells) - refined for cells, refined in zip(self.cells, self.refined, strict=True)]
 
     @classmethod
     def of(cls, hierarchy: Any) -> Oracle:
@@ -206,7 +223,10 @@ class Oracle:
 
     def wrapped(self, level: int, cell: Cell) -> Cell | None:
         """Return the cell, brought back through periodic faces; None outside a wall."""
-        for axis, extent in enumerate(self.extent[level]):
+        a, b, c = self.extent[level]
+        if 0 <= cell[0] < a and 0 <= cell[1] < b and 0 <= cell[2] < c:
+            return cell
+        for axis, extent in enumerate((a, b, c)):
             if not 0 <= cell[axis] < extent:
                 if self.types[axis][0] != "periodic":
                     return None
@@ -221,8 +241,7 @@ class Oracle:
 
     def is_usable(self, level: int, cell: Cell) -> bool:
         """Return whether interpolation may use the cell: inside the domain, on the level, and uncovered."""
-        there = self.wrapped(level, cell)
-        return there is not None and self.exists(level, there) and not self.is_covered(level, there)
+        return 0 <= level < self.levels and self.wrapped(level, cell) in self.usable[level]
 
     def uncovered(self, level: int) -> np.ndarray:
         return np.array([not self.is_covered(level, cell) for cell in self.cells[level]], dtype=bool)
@@ -239,6 +258,7 @@ class Oracle:
 
     # --- ghosts, fluxes, and what is made of them
 
+    @found_once
     def beyond(self, level: int, cell: Cell, axis: int, side: int) -> Form:
         """Return phi at the centre of the neighbour of the cell through one face (side -1 or +1), finer levels ignored."""
         neighbour = self.wrapped(level, shifted(cell, axis, side))
@@ -325,12 +345,12 @@ class Oracle:
         found: list[tuple[Phi, np.ndarray]] = []
         for at_level, width in ((level - 1, 2), (level, 1)):
             nearest = np.floor(place / width).astype(int)
-            inside = place - width * nearest
+            inside, (a, b, c) = place - width * nearest, nearest.tolist()
             for (i, j, k), away in within_reach(width, (inside[0], inside[1], inside[2])):
-                there = self.wrapped(at_level, (int(nearest[0]) + i, int(nearest[1]) + j, int(nearest[2]) + k))
-                if there is not None and self.is_usable(at_level, there):
-                    found.append((Phi(at_level, there), away / REACH))
-        order, weights = space_fit(np.array([x for _, x in found]))
+                there = self.wrapped(at_level, (a + i, b + j, c + k))
+                if there in self.usable[at_level]:
+                    found.append((Phi(at_level, there), away))
+        order, weights = space_fit(np.array([x for _, x in found]) / REACH)
         form: Form = {}
         for (key, _), weight in zip(found, weights, strict=True):
             add(form, {key: float(weight)})
@@ -353,14 +373,9 @@ class Oracle:
                     add(form, {Phi(level - 1, end): sign * (ghost[d] % 2 - 0.5) / 2 / distance})
         return LINES[slopes], form
 
+    @found_once
     def slope(self, level: int, cell: Cell, axis: int, side: int, composite: bool) -> Form:
         """Return the outward derivative of phi at a face; on the composite grid a refined neighbour gives its mean."""
-        key = Wall(level, cell, axis, side), composite
-        if key not in self.slopes:
-            self.slopes[key] = self.new_slope(*key[0], composite)
-        return self.slopes[key]
-
-    def new_slope(self, level: int, cell: Cell, axis: int, side: int, composite: bool) -> Form:
         neighbour = self.wrapped(level, shifted(cell, axis, side))
         form: Form = {}
         if composite and neighbour is not None and self.is_covered(level, neighbour):
@@ -374,12 +389,14 @@ class Oracle:
         add(form, {Phi(level, cell): -1 / h})
         return form
 
+    @found_once
     def laplacian(self, level: int, cell: Cell, composite: bool) -> Form:
         form: Form = {}
         for axis, side in itertools.product(range(3), (-1, 1)):
             add(form, self.slope(level, cell, axis, side, composite), 1 / float(self.spacing[level][axis]))
         return form
 
+    @found_once
     def field(self, level: int, cell: Cell, axis: int) -> Form:
         """Return E along an axis at the centre of an uncovered cell: minus the mean of the derivatives at its two faces."""
         form: Form = {}
@@ -440,22 +457,25 @@ class Oracle:
         wanted = {"all": (False, True), "covered": (True,), "uncovered": (False,)}[where]
         return [row(cell) if self.is_covered(level, cell) in wanted else {} for cell in self.cells[level]]
 
-    def operators(self, level: int, prolongation: str = "trilinear") -> SimpleNamespace:
+    def operators(self, level: int) -> SimpleNamespace:
         """Return the eight operators of a level as SciPy matrices, under the names of `solver.operators(level)`."""
         plain = self.rows(level, lambda cell: self.laplacian(level, cell, composite=False))
         whole = self.rows(level, lambda cell: self.laplacian(level, cell, composite=True), "uncovered")
         mean = self.rows(level, lambda cell: {Phi(level + 1, child): 1 / 8 for child in children(cell)}, "covered")
-        finer = self.rows(level, lambda cell: self.correction(level, cell, prolongation)) if level else []
         return SimpleNamespace(
             no_fine=self.block(level, plain, level),
             composite=self.block(level, whole, level),
             coarse_boundary=self.block(level, plain, level - 1),
             fine_boundary=self.block(level, whole, level + 1),
             restriction=self.block(level, mean, level + 1),
-            prolongation=self.block(level, finer, level - 1),
+            prolongation=self.prolongation(level, "trilinear"),
             uncovered=sp.diags(self.uncovered(level).astype(float)).tocsr(),
             gradient=[self.gradient(level, axis) for axis in range(3)],
         )
+
+    def prolongation(self, level: int, kind: str) -> sp.csr_matrix:
+        finer = self.rows(level, lambda cell: self.correction(level, cell, kind)) if level else []
+        return self.block(level, finer, level - 1)
 
     def gradient(self, level: int, axis: int) -> SimpleNamespace:
         forms = self.rows(level, lambda cell: self.field(level, cell, axis), "uncovered")

@@ -13,22 +13,14 @@ import scipy.sparse as sp
 import amrpic
 import operator_laws
 from amrpic.parallel import traffic
-from hierarchies import all_cases
+from hierarchies import all_cases, for_the_oracle
 from oracle import LINEAR_FITS, QUADRATIC_FITS, Oracle
 from rank_subsets import first_ranks, hierarchy_of, wait_quietly
 
 CASES = all_cases()
 NAMES = ("no_fine", "composite", "coarse_boundary", "fine_boundary", "restriction", "prolongation", "uncovered")
 each_case = pytest.mark.parametrize("name", CASES, scope="module")
-LONG = {
-    "corner of large blocks",
-    "L of large blocks",
-    "U of large blocks in a periodic box",
-    "all refined",
-}  # to the oracle
-each_case_of_the_oracle = pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.long) if name in LONG else name for name in CASES], scope="module"
-)
+each_case_of_the_oracle = pytest.mark.parametrize("name", for_the_oracle(CASES), scope="module")
 
 
 def matrices(solver: amrpic.PoissonSolver, level: int) -> SimpleNamespace:
@@ -56,19 +48,24 @@ def difference(found: sp.sparray, expected: sp.sparray) -> float:
     return float(error / size) if size else float(error)
 
 
+def oracle_for(name: str, hierarchy: amrpic.Hierarchy) -> Oracle:
+    """Return the oracle of a case with the boxes that the hierarchy really has."""
+    boxes = (np.ascontiguousarray(hierarchy.boxes(level), dtype=np.int64) for level in range(hierarchy.levels))
+    return _oracle(name, tuple(level.tobytes() for level in boxes))
+
+
 @lru_cache(maxsize=1)
-def expectation(name: str, boxes: tuple[bytes, ...]) -> tuple[Oracle, list[dict[str, sp.sparray]]]:
-    """Return the oracle of a case with the boxes that the hierarchy really has, and its operators per level."""
-    oracle = Oracle(CASES[name], [np.frombuffer(level, dtype=np.int64).reshape(-1, 6) for level in boxes])
+def _oracle(name: str, boxes: tuple[bytes, ...]) -> Oracle:
+    return Oracle(CASES[name], [np.frombuffer(level, dtype=np.int64).reshape(-1, 6) for level in boxes])
+
+
+@lru_cache(maxsize=1)
+def expected_of(oracle: Oracle) -> list[dict[str, sp.sparray]]:
+    """Return the operators of an oracle per level."""
     operators = [by_name(oracle.operators(level)) for level in range(oracle.levels)]
     for level, expected in enumerate(operators):
         expected["constant prolongation"] = oracle.prolongation(level, "constant")
-    return oracle, operators
-
-
-def expected_for(name: str, hierarchy: amrpic.Hierarchy) -> tuple[Oracle, list[dict[str, sp.sparray]]]:
-    boxes = (np.ascontiguousarray(hierarchy.boxes(level), dtype=np.int64) for level in range(hierarchy.levels))
-    return expectation(name, tuple(level.tobytes() for level in boxes))
+    return operators
 
 
 def differences(name: str, comm: Any) -> dict[tuple[int, str], float]:
@@ -82,8 +79,8 @@ def differences(name: str, comm: Any) -> dict[tuple[int, str], float]:
         found = by_name(matrices(trilinear, level))
         found["constant prolongation"] = constant.operators(level).prolongation.to_scipy()
         if comm.rank == 0:
-            _, expected = expected_for(name, hierarchy)
-            result |= {(level, o): difference(found[o], matrix) for o, matrix in expected[level].items()}
+            expected = expected_of(oracle_for(name, hierarchy))[level]
+            result |= {(level, o): difference(found[o], matrix) for o, matrix in expected.items()}
     return result
 
 
@@ -105,7 +102,7 @@ def test_operators_obey_the_laws(name, comm):
     solver = amrpic.PoissonSolver(hierarchy)
     found = [matrices(solver, level) for level in range(hierarchy.levels)]
     if comm.rank == 0:
-        oracle, _ = expected_for(name, hierarchy)
+        oracle = oracle_for(name, hierarchy)
         assert operator_laws.gauss_defect(oracle, found) < 1e-13
         assert operator_laws.transfer_defect(oracle, found) < 1e-13
         for degree, fits in ((1, LINEAR_FITS), (2, QUADRATIC_FITS)):

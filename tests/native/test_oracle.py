@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import operator_laws
-from hierarchies import all_cases
+from hierarchies import all_cases, for_the_oracle
 from oracle import (
     FITS,
     LINEAR_FITS,
@@ -30,6 +30,7 @@ from oracle import (
 
 CASES = all_cases()
 each_case = pytest.mark.parametrize("name", CASES, scope="module")
+each_case_with_its_operators = pytest.mark.parametrize("name", for_the_oracle(CASES), scope="module")
 SINGULAR = [
     name
     for name, case in CASES.items()
@@ -161,17 +162,17 @@ def test_hierarchies_nest_properly(name):
                 assert there is None or oracle.exists(level - 1, there)
 
 
-@each_case
+@each_case_with_its_operators
 def test_laplacian_integrates_to_the_flux_through_the_walls(name):
     assert operator_laws.gauss_defect(oracle_of(name), operators_of(name)) < 1e-13
 
 
-@pytest.mark.parametrize("name", SINGULAR, scope="module")
+@pytest.mark.parametrize("name", for_the_oracle(SINGULAR), scope="module")
 def test_laplacian_and_field_of_a_constant_vanish_where_no_wall_fixes_the_potential(name):
     assert operator_laws.constant_defect(oracle_of(name), operators_of(name)) < 1e-12
 
 
-@each_case
+@each_case_with_its_operators
 def test_laplacian_and_field_are_exact_for_polynomials_of_the_fits_degree(name):
     oracle = oracle_of(name)
     for degree, fits in ((1, LINEAR_FITS), (2, QUADRATIC_FITS)):
@@ -221,7 +222,7 @@ def test_corrections_vanish_at_the_finest_ghosts_behind_open_walls(name):
     assert checked[True] and checked[False]
 
 
-@each_case
+@each_case_with_its_operators
 def test_transfers_are_exact_for_linear_functions(name):
     assert operator_laws.transfer_defect(oracle_of(name), operators_of(name)) < 1e-13
 

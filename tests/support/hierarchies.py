@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import itertools
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import numpy as np
+import pytest
 
 Box = tuple[tuple[int, int, int], tuple[int, int, int]]
 Mask = np.ndarray  # bool (nx, ny, nz)
@@ -375,6 +377,15 @@ def random_case(seed: int, long_cells: bool = True) -> Case:
         except ValueError:
             continue
     raise ValueError(f"seed {seed} makes no hierarchy")
+
+
+# Those whose operators take an oracle longest.
+LARGE = {"corner of large blocks", "L of large blocks", "U of large blocks in a periodic box", "all refined"}
+
+
+def for_the_oracle(names: Iterable[str]) -> list[Any]:
+    """Return parameters of tests that take an oracle's operators: those of LARGE are long ones."""
+    return [pytest.param(name, marks=pytest.mark.long) if name in LARGE else name for name in names]
 
 
 @cache

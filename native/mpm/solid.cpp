@@ -71,7 +71,7 @@ struct PointByPoint {
   std::function<void(Place const&, Tensor&)> const& f;
 
   void operator()(std::int64_t block, AtPoint<3>& at) const {
-    Matrix out{};
+    Matrix<> out{};
     for_each_place(points, block, [&](Place const& place) {
       Tensor own;
       for_each_entry(

@@ -22,9 +22,8 @@ typedef Real NativeLanes __attribute__((vector_size(8 * native_lane_count)));
 typedef float NativeFloats __attribute__((vector_size(8 * native_lane_count)));
 typedef float HalfFloats __attribute__((vector_size(4 * native_lane_count)));
 
-/// The numbers of both, rounded.
-inline NativeFloats rounded(NativeLanes const& low, NativeLanes const& high) {
-  auto const a = __builtin_convertvector(low, HalfFloats), b = __builtin_convertvector(high, HalfFloats);
+/// The numbers of both.
+inline NativeFloats joined(HalfFloats const& a, HalfFloats const& b) {
 #if defined(AMRPIC_AVX512)
   return __builtin_shufflevector(a, b, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
 #elif defined(__AVX2__)

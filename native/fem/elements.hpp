@@ -21,7 +21,8 @@ struct BlockPair {
   std::int64_t first, second;
 };
 inline NativeFloats of_block(Real const* values, BlockPair const& pair, int width = 1, int number = 0) {
-  return rounded(of_block(values, pair.first, width, number), of_block(values, pair.second, width, number));
+  return joined(__builtin_convertvector(of_block(values, pair.first, width, number), HalfFloats),
+                __builtin_convertvector(of_block(values, pair.second, width, number), HalfFloats));
 }
 
 /// A vector of what is known of a block, or of a pair.

@@ -39,17 +39,33 @@ inline void write_transposed_product(Matrix<Vector> const& a, Matrix<Vector> con
       [&](std::size_t i, std::size_t j) { out[i][j] = a[i][0] * b[j][0] + a[i][1] * b[j][1] + a[i][2] * b[j][2]; });
 }
 
-/// Blocks of `width` values of points.
-struct Blocks {
-  std::shared_ptr<fem::BlockValues const> values;
-  Real const* first;
-  int width;
+/// Blocks of `width` values of points, each as the sum of two numbers in single precision: the first one alone is what
+/// a pair of blocks takes, and both are exact to 48 bits, in no more memory than one in double precision.
+class Blocks {
+ public:
+  Blocks(fem::Points const& points, int width)
+      : width_(width), high_(std::make_shared<Floats>(std::size_t(points.blocks() * width * native_lane_count), 0)) {
+    low_ = std::make_shared<Floats>(high_->size(), 0);
+  }
 
-  Blocks(fem::BlockValues of_points, int width)
-      : values(std::make_shared<fem::BlockValues const>(std::move(of_points))), first(values->data()), width(width) {}
-  template <class Block>
-  VectorOf<Block> operator()(Block const& block, std::size_t number) const {
-    return of_block(first, block, width, int(number));
+  /// The values of a point, a lane of a block.
+  void write(Real const* values, std::int64_t block, int lane) {
+    for (int number = 0; number < width_; ++number) {
+      std::size_t const to = place(block, std::size_t(number)) + std::size_t(lane);
+      (*high_)[to] = float(values[number]);
+      (*low_)[to] = float(values[number] - Real((*high_)[to]));
+    }
+  }
+
+  V operator()(std::int64_t block, std::size_t number) const {
+    std::size_t const at = place(block, number);
+    return __builtin_convertvector(load<HalfFloats>(high_->data() + at), V) +
+           __builtin_convertvector(load<HalfFloats>(low_->data() + at), V);
+  }
+  NativeFloats operator()(fem::BlockPair const& pair, std::size_t number) const {
+    float const* const high = high_->data();
+    return joined(load<HalfFloats>(high + place(pair.first, number)),
+                  load<HalfFloats>(high + place(pair.second, number)));
   }
   template <class Block>
   auto matrix(Block const& block, std::size_t number) const {
@@ -63,6 +79,16 @@ struct Blocks {
     for_each_entry([&](std::size_t i, std::size_t j) { out[i][j] = (*this)(block, number + symmetric[i][j]); });
     return out;
   }
+
+ private:
+  using Floats = std::vector<float, fem::BlockAllocator<float>>;
+
+  std::size_t place(std::int64_t block, std::size_t number) const {
+    return (std::size_t(block) * std::size_t(width_) + number) * native_lane_count;
+  }
+
+  int width_;
+  std::shared_ptr<Floats> high_, low_;
 };
 
 /// What all functions `D` of slopes have in common.

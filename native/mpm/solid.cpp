@@ -174,8 +174,7 @@ void make_positive(D const*, Real* state) {
   Real* const stress = state + 9;
   Tensor whole;
   material::for_each_entry([&](std::size_t i, std::size_t j) { whole[i][j] = stress[symmetric[i][j]]; });
-  auto const principal = material::eigen_of(whole).value;
-  Real const c = std::max(Real(0), -*std::min_element(principal.begin(), principal.end())) / 2;
+  Real const c = std::max(Real(0), -material::smallest_eigenvalue(whole)) / 2;
   for (int d = 0; d < 3; ++d) stress[d] += 2 * c;
   if constexpr (general)
     for (int i = 0, n = 15; i < 6; n += 6 - i, ++i) state[n] -= i < 3 ? 2 * c : c;

@@ -189,6 +189,11 @@ class FemOperator:
     """An operator at points; amrpic.fem has those of mass and of Poisson."""
 
     def apply(self, u: NDArray[numpy.float64]) -> NDArray[numpy.float64]: ...
+    def apply_nearly(self, u: NDArray[numpy.float64]) -> NDArray[numpy.float64]:
+        """
+        The product as smoothers have it, in single precision where there is such a form.
+        """
+
     def diagonal(self) -> NDArray[numpy.float64]: ...
     def entries(self) -> tuple: ...
     def corner_rows(self, fixed: NDArray[numpy.bool_]) -> tuple:

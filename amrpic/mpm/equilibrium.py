@@ -85,7 +85,8 @@ def equilibrium(
             break
         if iteration == most_iterations:
             break
-        eta = linear_tolerance or _forcing(residuals[-1], before, tolerance * size)
+        forcing = FIRST_FORCING if moving else _forcing(residuals[-1], before, tolerance * size)
+        eta = linear_tolerance or forcing
         # Tangents hold 17 numbers a point: one at a time.
         step, linear = solved(solid.tangent(u, form), residual, values=jump, tolerance=eta)
         before = linear.residuals[0]
@@ -116,9 +117,7 @@ def equilibrium(
 
 def _forcing(residual: float, before: float | None, enough: float) -> float:
     """The tolerance of a linear solve: as the residual fell in the last iteration, and no lower than is of use."""
-    if before is None or before == 0:
-        return FIRST_FORCING
-    eta = min(LARGEST_FORCING, GAMMA * (residual / before) ** 2)
+    eta = min(LARGEST_FORCING, GAMMA * (residual / before) ** 2) if before else FIRST_FORCING
     return max(eta, min(LARGEST_FORCING, 0.3 * enough / residual))
 
 

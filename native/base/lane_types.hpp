@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <cstring>
 #include <type_traits>
+#include <utility>
 
 #include "base/intrinsics.hpp"
 #include "base/kokkos.hpp"
@@ -38,6 +39,10 @@ inline void store(void* to, Vector const& values) {
   else
     std::memcpy(to, &values, sizeof values);
 }
+
+/// What a vector holds.
+template <class Vector>
+using NumberOf = std::decay_t<decltype(std::declval<Vector>()[0])>;
 
 /// Call f(n) for each bit that is set.
 template <class Bits, class F>

@@ -169,6 +169,16 @@ void bind_fem(nb::module_& m) {
             });
           },
           "u"_a)
+      .def(
+          "apply_nearly",
+          [](fem::Operator const& a, bind::Reals u) {
+            return computed([&] {
+              std::vector<Real> v(a.unknowns());
+              a.apply_nearly(u.data(), v.data());
+              return v;
+            });
+          },
+          "u"_a, "The product as smoothers have it, in single precision where there is such a form.")
       .def("diagonal", [](fem::Operator const& a) { return computed([&] { return a.diagonal(); }); })
       .def("entries",
            [](fem::Operator const& a) {

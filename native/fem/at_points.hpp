@@ -2,24 +2,27 @@
 // values and slopes, a function of these, and its share of the sums over points; nothing is stored in between.
 #pragma once
 
+#include <algorithm>
+#include <limits>
+#include <type_traits>
+
 #include "fem/contraction.hpp"
 #include "fem/elements.hpp"
 
 namespace amrpic::fem {
 
 /// C components at the points of a block, or what they are tested with there.
-template <int C>
+template <int C, class Vector = V>
 struct AtPoint {
-  V value[C];
-  Vector3<V> slope[C];  ///< in coordinates of the element, -1 to 1
+  Vector value[C];
+  Vector3<Vector> slope[C];  ///< in coordinates of the element, -1 to 1
 };
 
 /// f of each coordinate of a block's points.
-template <class F>
-inline auto rows_at_block(Points const& points, std::int64_t block, F const& f) {
-  Real const* const place = points.places() + 3 * native_lane_count * block;
-  return Vector3<decltype(f(V{}))>{f(load<V>(place)), f(load<V>(place + native_lane_count)),
-                                   f(load<V>(place + 2 * native_lane_count))};
+template <class Block, class F>
+inline auto rows_at_block(Points const& points, Block const& block, F const& f) {
+  auto const of = [&](int axis) { return f(of_block(points.places(), block, 3, axis)); };
+  return Vector3<decltype(of(0))>{of(0), of(1), of(2)};
 }
 
 /// Vectors that hold P^3 sums, whole ones for `sums_of_lanes`.
@@ -27,19 +30,31 @@ template <int P>
 constexpr int whole_sums = (P * P * P + native_lane_count - 1) / native_lane_count* native_lane_count;
 
 /// Sums over the lanes of each, into one lane of values.
-template <int P>
-inline void write_sums(V const* sums, int lane, V* values) {
+template <int P, class Vector>
+inline void write_sums(Vector const* sums, int lane, V* values) {
   constexpr int nodes = P * P * P;
   for (int first = 0; first < nodes; first += native_lane_count) {
-    V const of_lanes = sums_of_lanes(sums + first);
+    auto const of_lanes = sums_of_lanes(sums + first);
     for (int n = 0; n < native_lane_count; ++n)
       if (first + n < nodes) values[first + n][lane] = of_lanes[n];
   }
 }
 
+/// The same of pairs of blocks.
+template <int P>
+inline void write_sums(NativeFloats const* sums, int lane, V* values) {
+  HalfFloats of_both[whole_sums<P>];
+  for (int n = 0; n < whole_sums<P>; ++n) {
+    auto const [low, high] = halves(sums[n]);
+    of_both[n] = low + high;
+  }
+  write_sums<P, HalfFloats>(of_both, lane, values);
+}
+
 /// D is the function at points: d(block, at) turns what is there into what it is tested with. It says which of both it
-/// `reads` and `writes`, and whether these are `values` or `slopes`.
-template <int P, int C, class D>
+/// `reads` and `writes`, and whether these are `values` or `slopes`. In `single` precision points are taken by pairs of
+/// blocks, and D by such.
+template <int P, int C, class D, bool single = false>
 struct AtPoints {
   static constexpr bool reads = D::reads, writes = D::writes;
   static constexpr int nodes = P * P * P;
@@ -51,32 +66,58 @@ struct AtPoints {
   void operator()(LocalIndex const* elements, int count, GroupValues<P, C>& values) const {
     if constexpr (reads)
       for (int c = 0; c < C; ++c) transform(from_nodes, values.value[c]);
+    V const size = single ? largest(values) : V{};
+    if constexpr (single) multiply(V{} + Real(1) / size, values);
     for (int lane = 0; lane < count; ++lane) element(elements[lane], lane, values);
+    if constexpr (single) multiply(size, values);
     if constexpr (writes)
       for (int c = 0; c < C; ++c) transform(to_nodes, values.value[c]);
   }
 
  private:
+  using Block = std::conditional_t<single, BlockPair, std::int64_t>;
+  using Vector = VectorOf<Block>;
+  using Number = NumberOf<Vector>;
+
+  /// The largest coefficient of each element. In single precision others are parts of it: none is too small for that.
+  static V largest(GroupValues<P, C> const& values) {
+    V out = V{} + std::numeric_limits<Real>::min();
+    for (auto const& component : values.value)
+      for (V const& value : component) {
+        V const size = value < 0 ? -value : value;
+        out = size > out ? size : out;
+      }
+    return out;
+  }
+  static void multiply(V const& by, GroupValues<P, C>& values) {
+    for (auto& component : values.value)
+      for (V& value : component) value *= by;
+  }
+
   /// One element, whose coefficients are in a lane, and whose sums go there. All that it calls is inlined: left alone,
   /// the compiler passed the matrices of solids from call to call through memory, which took as long as all else.
   __attribute__((flatten)) void element(LocalIndex element, int lane, GroupValues<P, C>& values) const {
-    Real coefficients[C][nodes];  // side by side: those of all lanes take more than a first-level cache has
+    Number coefficients[C][nodes];  // side by side: those of all lanes take more than a first-level cache has
     if constexpr (reads)
       for (int c = 0; c < C; ++c)
-        for (int n = 0; n < nodes; ++n) coefficients[c][n] = values.value[c][n][lane];
-    V sums[C][whole_sums<P>];
+        for (int n = 0; n < nodes; ++n) coefficients[c][n] = Number(values.value[c][n][lane]);
+    Vector sums[C][whole_sums<P>];
     if constexpr (writes)
       for (int c = 0; c < C; ++c)
-        for (V& sum : sums[c]) sum = V{};
-    for (std::int64_t block = points.first_block(element); block < points.first_block(element + 1); ++block) {
-      auto const here = rows_at_block(points, block, chebyshev_rows<P, V>);
-      AtPoint<C> at;
+        for (Vector& sum : sums[c]) sum = Vector{};
+    std::int64_t const last = points.first_block(element + 1);
+    for (std::int64_t first = points.first_block(element); first < last; first += single ? 2 : 1) {
+      Block const block = block_at(first, last);
+      auto const here = rows_at_block(points, block, chebyshev_rows<P, Vector>);
+      AtPoint<C, Vector> at;
       if constexpr (reads)
         for (int c = 0; c < C; ++c) {
           if constexpr (D::values) at.value[c] = value_at<Basis::chebyshev>(coefficients[c], here);
           if constexpr (D::slopes) at.slope[c] = gradient_at<Basis::chebyshev>(coefficients[c], here);
         }
       d(block, at);
+      if constexpr (single)
+        if (block.second == block.first) drop_second(at);
       if constexpr (writes)
         for (int c = 0; c < C; ++c) {
           if constexpr (D::values) add_by_value<Basis::chebyshev>(at.value[c], here, sums[c]);
@@ -85,6 +126,25 @@ struct AtPoints {
     }
     if constexpr (writes)
       for (int c = 0; c < C; ++c) write_sums<P>(sums[c], lane, values.value[c]);
+  }
+
+  static Block block_at(std::int64_t first, std::int64_t last) {
+    if constexpr (single)
+      return {first, std::min(first + 1, last - 1)};
+    else
+      return first;
+  }
+
+  /// Leave out the second share of a block that is there twice.
+  static void drop_second(AtPoint<C, Vector>& at) {
+    auto const drop = [](Vector& v) {
+      for (int n = 0; n < native_lane_count; ++n) v[native_lane_count + n] = 0;
+    };
+    for (int c = 0; c < C; ++c) {
+      if constexpr (D::values) drop(at.value[c]);
+      if constexpr (D::slopes)
+        for (Vector& slope : at.slope[c]) drop(slope);
+    }
   }
 };
 

@@ -2,7 +2,11 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
+#include <limits>
 #include <utility>
+
+#include "base/native_lanes.hpp"
 
 namespace amrpic::fem {
 
@@ -265,18 +269,34 @@ void Halving::transposed(int components, Real const* fine, Real* coarse) const {
 BlockRows::BlockRows(Communicator const& comm, NodeBlocks blocks)
     : nodes_(blocks.nodes), components_(blocks.components), around_(around(comm, *nodes_)) {
   std::size_t const width = blocks.width(), c = std::size_t(components_);
-  by_line_ = std::move(blocks.value);
+  Real largest = std::numeric_limits<Real>::min();
   for (std::size_t node = 0; node < std::size_t(nodes_->local_cells()); ++node)
-    for (std::size_t r = 0; r < c; ++r) diagonal_.push_back(by_line_[node * width + (stencil / 2 * c + r) * c + r]);
-  std::vector<Real> line;  // as it comes, node after node
-  Real* entry = by_line_.data();
-  for (int b = nodes_->first_local_box(); b < nodes_->last_local_box(); ++b) {
-    std::size_t const length = std::size_t(nodes_->box(b).extent(0));
-    for (GlobalIndex first = 0; first < nodes_->box(b).cells(); first += GlobalIndex(length)) {
-      line.assign(entry, entry + length * width);
-      for (std::size_t e = 0; e < width; ++e)
-        for (std::size_t i = 0; i < length; ++i) *entry++ = line[i * width + e];
+    for (std::size_t r = 0; r < c; ++r) {
+      diagonal_.push_back(blocks.value[node * width + (stencil / 2 * c + r) * c + r]);
+      largest = std::max(largest, diagonal_.back());
     }
+  scale_ = std::exp2(std::ilogb(largest));
+  Real const* entry = blocks.value.data();
+  std::size_t groups = 0;
+  for (int b = nodes_->first_local_box(); b < nodes_->last_local_box(); ++b)
+    for_each_plane(nodes_->box(b), [&](Box const& plane, Box const& whole, std::ptrdiff_t first, std::size_t count) {
+      by_group_.resize((groups + count) * width * native_lane_count, 0);
+      for_each_cell(plane, [&](Index3 const& at) {
+        std::size_t const n = std::size_t(whole.offset(at) - first), lane = n % native_lane_count;
+        float* const out = &by_group_[(groups + n / native_lane_count) * width * native_lane_count + lane];
+        for (std::size_t e = 0; e < width; ++e) out[e * native_lane_count] = float(*entry++ / scale_);
+      });
+      groups += count;
+    });
+}
+
+template <class F>
+void BlockRows::for_each_plane(Box const& box, F&& f) {
+  Box const whole = box.grow(1);
+  for (int k = box.lower[2]; k <= box.upper[2]; ++k) {
+    Box const plane{{box.lower[0], box.lower[1], k}, {box.upper[0], box.upper[1], k}};
+    auto const first = std::ptrdiff_t(whole.offset(plane.lower)), last = std::ptrdiff_t(whole.offset(plane.upper));
+    f(plane, whole, first, std::size_t(last - first) / native_lane_count + 1);
   }
 }
 
@@ -289,39 +309,46 @@ void BlockRows::apply(Real const* u, Real* v) const {
 
 template <int C>
 void BlockRows::apply_as(Real const* u, Real* v) const {
-  std::vector<Real> halo(around_.halo_size() * C), dense, by_component, sum;
+  std::vector<Real> halo(around_.halo_size() * C), dense, by_component, sums;
   around_.update(C, u, halo.data());
-  Real const* entry = by_line_.data();
+  float const* entry = by_group_.data();
   for (int b = nodes_->first_local_box(); b < nodes_->last_local_box(); ++b) {
     std::size_t const part = std::size_t(b - nodes_->first_local_box());
-    Box const& box = nodes_->box(b);
     Box const& region = around_.region(part);
-    Box const whole = box.grow(1);  // beyond the walls zeros
     dense.resize(std::size_t(region.cells()) * C);
     around_.read(part, C, u, halo.data(), dense.data());
-    std::size_t const count = std::size_t(whole.cells());
+    Box const grown = nodes_->box(b).grow(1);  // beyond the walls zeros, and behind the end a group's
+    std::size_t const count = std::size_t(grown.cells()) + native_lane_count;
     by_component.assign(C * count, 0);
     Real const* from = dense.data();
     for_each_cell(region, [&](Index3 const& at) {
-      for (int c = 0; c < C; ++c) by_component[std::size_t(c) * count + std::size_t(whole.offset(at))] = *from++;
+      for (int c = 0; c < C; ++c) by_component[std::size_t(c) * count + std::size_t(grown.offset(at))] = *from++;
     });
-    int const length = box.extent(0);
-    for (int k = box.lower[2]; k <= box.upper[2]; ++k)
-      for (int j = box.lower[1]; j <= box.upper[1]; ++j) {
-        sum.assign(std::size_t(C * length), 0);
+    for_each_plane(nodes_->box(b), [&](Box const& plane, Box const& whole, std::ptrdiff_t first, std::size_t groups) {
+      sums.resize(C * groups * native_lane_count);
+      for (std::size_t g = 0; g < groups; ++g) {
+        Real const* const x = &by_component[std::size_t(first) + g * native_lane_count];
+        NativeLanes sum[C][C] = {};
         for (int n = 0; n < stencil; ++n) {
           Index3 const by = offset_of(n);
-          auto const at = whole.offset({box.lower[0] + by[0], j + by[1], k + by[2]});
+          std::ptrdiff_t const shift = by[0] + by[1] * whole.stride(1) + by[2] * whole.stride(2);
+          NativeLanes there[C];
+          for (int c = 0; c < C; ++c) there[c] = load<NativeLanes>(x + std::ptrdiff_t(std::size_t(c) * count) + shift);
           for (int r = 0; r < C; ++r)
-            for (int c = 0; c < C; ++c, entry += length) {
-              Real const* const x = &by_component[std::size_t(c) * count + std::size_t(at)];
-              Real* const y = &sum[std::size_t(r * length)];
-              for (int i = 0; i < length; ++i) y[i] += entry[i] * x[i];
-            }
+            for (int c = 0; c < C; ++c, entry += native_lane_count)
+              sum[r][c] += __builtin_convertvector(load<HalfFloats>(entry), NativeLanes) * there[c];
         }
-        for (int i = 0; i < length; ++i)
-          for (int r = 0; r < C; ++r) *v++ = sum[std::size_t(r * length + i)];
+        for (int r = 0; r < C; ++r) {
+          NativeLanes row = sum[r][0];
+          for (int c = 1; c < C; ++c) row += sum[r][c];
+          store(&sums[(std::size_t(r) * groups + g) * native_lane_count], row * scale_);
+        }
       }
+      for_each_cell(plane, [&](Index3 const& at) {
+        for (std::size_t r = 0; r < C; ++r)
+          *v++ = sums[r * groups * native_lane_count + std::size_t(whole.offset(at) - first)];
+      });
+    });
   }
 }
 

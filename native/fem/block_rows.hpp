@@ -50,7 +50,7 @@ class Halving {
   NodeRegions parents_;  ///< of the nodes of finer boxes
 };
 
-/// Products with such rows.
+/// Products with such rows in single precision, for smoothers.
 class BlockRows {
  public:
   BlockRows(Communicator const& comm, NodeBlocks blocks);
@@ -63,11 +63,18 @@ class BlockRows {
  private:
   template <int C>
   void apply_as(Real const* u, Real* v) const;
+  /// Call f(plane across z, box grown by one, place of the plane's first node in that, groups of lanes from there to
+  /// its last one) for each plane of a box.
+  template <class F>
+  static void for_each_plane(Box const& box, F&& f);
 
   std::shared_ptr<Level const> nodes_;
   int components_;
-  NodeRegions around_;         ///< own nodes and their neighbours
-  std::vector<Real> by_line_;  ///< of each line of a box along x its blocks' entries, one after the other
+  NodeRegions around_;  ///< own nodes and their neighbours
+  /// Of each group of a plane its blocks' entries, one after the other: parts of the scale, so that none is too small.
+  /// Nodes of a line are followed by two that are not own ones, whose entries are zeros.
+  std::vector<float, BlockAllocator<float>> by_group_;
+  Real scale_;
   std::vector<Real> diagonal_;
 };
 

@@ -5,7 +5,7 @@
 // and products: it is a vector, of one number for each of some points.
 #pragma once
 
-#include "base/types.hpp"
+#include "base/lane_types.hpp"
 
 namespace amrpic::fem {
 
@@ -20,7 +20,7 @@ template <int P, class V>
 inline Rows<P, V> chebyshev_rows(V const& x) {
   Rows<P, V> out;
   V const two_x = x + x;
-  out.value[0] = V{} + Real(1), out.slope[0] = V{};
+  out.value[0] = V{} + NumberOf<V>(1), out.slope[0] = V{};
   out.value[1] = x, out.slope[1] = out.value[0];
 #pragma GCC unroll 5
   for (int n = 2; n < P; ++n) {
@@ -54,7 +54,7 @@ inline __attribute__((always_inline)) void accumulate_slope(int n, V& to, A cons
 template <Basis basis, int P, class A, class V>
 inline __attribute__((always_inline)) void set_value(int n, V& to, A const& by, Rows<P, V> const& rows) {
   if (basis == Basis::chebyshev && n == 0)
-    to = V{} + by;
+    to = by - V{};
   else
     to = by * rows.value[n];
 }
@@ -64,7 +64,7 @@ inline __attribute__((always_inline)) void set_slope(int n, V& to, A const& by, 
   if (basis == Basis::chebyshev && n == 0)
     to = V{};
   else if (basis == Basis::chebyshev && n == 1)
-    to = V{} + by;
+    to = by - V{};
   else
     to = by * rows.slope[n];
 }
@@ -86,7 +86,7 @@ inline __attribute__((always_inline)) void add_slope(int n, V& to, A const& by, 
 
 /// What a polynomial is at a point.
 template <Basis basis, int P, class V>
-inline __attribute__((always_inline)) V value_at(Real const* c, Vector3<Rows<P, V>> const& rows) {
+inline __attribute__((always_inline)) V value_at(NumberOf<V> const* c, Vector3<Rows<P, V>> const& rows) {
   V out;
 #pragma GCC unroll 5
   for (int k = 0; k < P; ++k) {
@@ -105,7 +105,7 @@ inline __attribute__((always_inline)) V value_at(Real const* c, Vector3<Rows<P, 
 
 /// Its slopes.
 template <Basis basis, int P, class V>
-inline __attribute__((always_inline)) Vector3<V> gradient_at(Real const* c, Vector3<Rows<P, V>> const& rows) {
+inline __attribute__((always_inline)) Vector3<V> gradient_at(NumberOf<V> const* c, Vector3<Rows<P, V>> const& rows) {
   V x, y, z;
 #pragma GCC unroll 5
   for (int k = 0; k < P; ++k) {
@@ -115,7 +115,7 @@ inline __attribute__((always_inline)) Vector3<V> gradient_at(Real const* c, Vect
       V line, line_x;
 #pragma GCC unroll 5
       for (int i = 0; i < P; ++i) {
-        Real const coefficient = c[i + P * (j + P * k)];
+        NumberOf<V> const coefficient = c[i + P * (j + P * k)];
         add_value<basis>(i, line, coefficient, rows[0]);
         add_slope<basis>(i, line_x, coefficient, rows[0]);
       }

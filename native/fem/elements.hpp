@@ -16,6 +16,19 @@ inline V of_block(Real const* values, std::int64_t block, int width = 1, int num
   return load<V>(values + (block * width + number) * native_lane_count);
 }
 
+/// Two blocks of an element in one vector, in single precision. The last one of an odd number is there twice.
+struct BlockPair {
+  std::int64_t first, second;
+};
+inline NativeFloats of_block(Real const* values, BlockPair const& pair, int width = 1, int number = 0) {
+  return joined(__builtin_convertvector(of_block(values, pair.first, width, number), HalfFloats),
+                __builtin_convertvector(of_block(values, pair.second, width, number), HalfFloats));
+}
+
+/// A vector of what is known of a block, or of a pair.
+template <class Block>
+using VectorOf = decltype(of_block(nullptr, std::declval<Block>()));
+
 /// Elements that are worked on together, a lane each. Lanes without an element repeat the first one, and are not read.
 struct ElementGroup {
   LocalIndex const* element;  ///< among this rank's

@@ -43,7 +43,8 @@ struct OnDiagonal {
 };
 
 /// The operator of a function D at points: d(block, at), as in `AtPoints`, is linear and symmetric. At Gauss's points
-/// its kernel is D::at_gauss<nodes along an axis, components>(points).
+/// its kernel is D::at_gauss<nodes along an axis, components>(points). D says whether it may be `in_single` precision:
+/// whether what it keeps is within the range of that in all units that are of use.
 template <class D, int C>
 class OperatorOf : public Operator {
  public:
@@ -51,6 +52,16 @@ class OperatorOf : public Operator {
 
   void apply(Real const* u, Real* v) const override {
     with_kernel([&](auto nodes, auto const& kernel) { sum_over_elements<nodes(), C>(points(), u, v, kernel); });
+  }
+
+  void apply_nearly(Real const* u, Real* v) const override {
+    if constexpr (D::in_single)
+      if (!points().gauss())
+        return with_degree(points().lattice().degree(), [&](auto nodes) {
+          AtPoints<nodes(), C, D, true> const kernel{points(), d_};
+          sum_over_elements<nodes(), C>(points(), u, v, kernel);
+        });
+    apply(u, v);
   }
 
   std::vector<Real> diagonal() const override {

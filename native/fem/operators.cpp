@@ -11,7 +11,8 @@ namespace {
 Real volume_of(Lattice const& lattice) { return lattice.elements().cell_volume() / 8; }
 
 struct Mass {
-  static constexpr bool reads = true, writes = true, values = true, slopes = false, rigid_modes = false;
+  static constexpr bool reads = true, writes = true, values = true, slopes = false, rigid_modes = false,
+                        in_single = false;
   Real const* weights;
 
   template <int C>
@@ -26,7 +27,8 @@ struct Mass {
 };
 
 struct Poisson {
-  static constexpr bool reads = true, writes = true, values = false, slopes = true, rigid_modes = false;
+  static constexpr bool reads = true, writes = true, values = false, slopes = true, rigid_modes = false,
+                        in_single = false;
   Real const* weights;
   Real3 metric;  ///< what a slope in space is, squared, over that in the coordinates of an element
 

@@ -1,5 +1,6 @@
 #include "material/tensor.hpp"
 
+#include <algorithm>
 #include <cmath>
 
 namespace amrpic::material {
@@ -22,6 +23,16 @@ Eigen eigen_of(Tensor a) {
       }
   }
   return {{a[0][0], a[1][1], a[2][2]}, vectors};
+}
+
+Real smallest_eigenvalue(Tensor const& a) {
+  constexpr Real third_of_turn = 2.0943951023931953;
+  Real const mean = trace(a) / 3;
+  Tensor const deviator = sum(a, -mean, unit_tensor());
+  Real const radius = std::sqrt(contraction(deviator, deviator) / 6);
+  if (!(radius > 0)) return mean;
+  Real const cosine = determinant(scaled(1 / radius, deviator)) / 2;
+  return mean + 2 * radius * std::cos(std::acos(std::clamp(cosine, Real(-1), Real(1))) / 3 + third_of_turn);
 }
 
 }  // namespace amrpic::material

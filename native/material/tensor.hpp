@@ -70,4 +70,7 @@ struct Eigen {
 /// By Jacobi's rotations: to rounding, also where values are equal.
 Eigen eigen_of(Tensor a);
 
+/// The smallest eigenvalue of a symmetric tensor in closed form: to 1e-8 of the largest where values are equal.
+Real smallest_eigenvalue(Tensor const& a);
+
 }  // namespace amrpic::material

@@ -48,9 +48,6 @@ struct Place {
   std::int64_t block;
   int lane;
   std::size_t point;
-
-  /// The first of its `width` values; the others follow, a block's lanes apart.
-  Real* of(Real* blocks, int width) const { return blocks + block * width * native_lane_count + lane; }
 };
 
 /// Call f(place) for the points of a block.
@@ -71,7 +68,7 @@ struct PointByPoint {
   std::function<void(Place const&, Tensor&)> const& f;
 
   void operator()(std::int64_t block, AtPoint<3>& at) const {
-    Matrix out{};
+    Matrix<> out{};
     for_each_place(points, block, [&](Place const& place) {
       Tensor own;
       for_each_entry(
@@ -177,8 +174,7 @@ void make_positive(D const*, Real* state) {
   Real* const stress = state + 9;
   Tensor whole;
   material::for_each_entry([&](std::size_t i, std::size_t j) { whole[i][j] = stress[symmetric[i][j]]; });
-  auto const principal = material::eigen_of(whole).value;
-  Real const c = std::max(Real(0), -*std::min_element(principal.begin(), principal.end())) / 2;
+  Real const c = std::max(Real(0), -material::smallest_eigenvalue(whole)) / 2;
   for (int d = 0; d < 3; ++d) stress[d] += 2 * c;
   if constexpr (general)
     for (int i = 0, n = 15; i < 6; n += 6 - i, ++i) state[n] -= i < 3 ? 2 * c : c;
@@ -186,28 +182,21 @@ void make_positive(D const*, Real* state) {
     state[16] -= c;
 }
 
-/// The values of a point among blocks.
-void write(Real const* values, Place const& at, int width, Real* blocks) {
-  Real* const out = at.of(blocks, width);
-  for (int c = 0; c < width; ++c) out[c * native_lane_count] = values[c];
-}
-
 template <class D>
-std::unique_ptr<fem::Operator> made(std::shared_ptr<fem::Points const> points, fem::BlockValues state) {
+std::unique_ptr<fem::Operator> made(std::shared_ptr<fem::Points const> points, Blocks state) {
   constexpr int components = D::values ? 1 : 3;
-  D d(Blocks(std::move(state), D::width));
-  return std::make_unique<fem::OperatorOf<D, components>>(std::move(points), std::move(d));
+  return std::make_unique<fem::OperatorOf<D, components>>(std::move(points), D(std::move(state)));
 }
 
 template <class D>
 std::unique_ptr<fem::Operator> tangent_as(Solid const& solid, Real const* u, Form form) {
   Real3 const scale = fem::slope_scale(solid.points->lattice());
-  fem::BlockValues state(std::size_t(solid.points->blocks() * D::width * native_lane_count), 0);
+  Blocks state(*solid.points, D::width);
   sum_point_by_point<false>(*solid.points, u, [&](Place const& at, Tensor const& slopes) {
     Real own[D::width];
     write_state(static_cast<D const*>(nullptr), moved(solid, at, slopes), scale, own);
     if (form == Form::positive) make_positive(static_cast<D const*>(nullptr), own);
-    write(own, at, D::width, state.data());
+    state.write(own, at.block, at.lane);
   });
   return made<D>(solid.points, std::move(state));
 }
@@ -283,14 +272,14 @@ std::vector<Real> determinants(Real const* deformation, std::size_t points) {
 
 std::unique_ptr<fem::Operator> damage_operator(DamageEquation const& e) {
   Real3 const scale = fem::slope_scale(e.points->lattice());
-  fem::BlockValues state(std::size_t(e.points->blocks() * Damage::width * native_lane_count), 0);
+  Blocks state(*e.points, Damage::width);
   for (std::int64_t block = 0; block < e.points->blocks(); ++block)
     for_each_place(*e.points, block, [&](Place const& at) {
       std::size_t const p = at.point;
       Real own[Damage::width] = {e.surface[p] > 0 ? e.volume[p] * (e.driving[p] + e.surface[p]) : 0};
       for (std::size_t d = 0; d < 3; ++d)
         own[1 + d] = e.volume[p] * e.surface[p] * e.length[p] * e.length[p] * scale[d] * scale[d];
-      write(own, at, Damage::width, state.data());
+      state.write(own, at.block, at.lane);
     });
   return made<Damage>(e.points, std::move(state));
 }

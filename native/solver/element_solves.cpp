@@ -18,8 +18,6 @@ using Filled = std::vector<fem::Points::Filled>;
 constexpr Real soft = Real(1) / 30;
 constexpr Real hardly = 1e-3;  ///< pivots of a matrix that is hardly positive, in parts of the diagonal
 
-typedef float Floats __attribute__((vector_size(4 * native_lane_count)));
-
 /// The first entry of a column of a lower triangle with so many, which is that on the diagonal.
 constexpr std::ptrdiff_t column_start(int size, int column) {
   return std::ptrdiff_t(column) * size - std::ptrdiff_t(column) * (column - 1) / 2;
@@ -64,7 +62,7 @@ void factor_lanes(int size, V* entries) {
   }
 }
 
-V widened(float const* at) { return __builtin_convertvector(load<Floats>(at), V); }
+V widened(float const* at) { return __builtin_convertvector(load<HalfFloats>(at), V); }
 
 /// Solves with such factors in single precision, a lane for each element.
 template <int P, int C>
@@ -187,7 +185,7 @@ void ElementSolves::factor(fem::Operator const& a, Filled const& uneven, std::ve
       factor_lanes(size, lower.data());
       for (std::ptrdiff_t e = 0; e < entries; ++e)
         store(&factors_[(group * entries + std::size_t(e)) * native_lane_count],
-              __builtin_convertvector(lower[std::size_t(e)], Floats));
+              __builtin_convertvector(lower[std::size_t(e)], HalfFloats));
       ++group, lane = 0;
     };
     a.for_each_matrix_of(uneven, [&](std::size_t p, LocalIndex, std::vector<Real> const& matrix) {

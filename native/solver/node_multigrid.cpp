@@ -35,7 +35,9 @@ NodeMultigrid::NodeMultigrid(fem::Operator const& a, std::vector<Real> inverse, 
     coarse_r_.resize(coarse->unknowns()), coarse_z_.resize(coarse->unknowns()), residual_.resize(a.unknowns());
     // A corner is fixed if it is so as a node of the finer degree.
     corners_free_ = free_of(between_->at_corners(a.components(), inverse.data()));
-    auto const apply = [this](std::vector<Real> const& x, std::vector<Real>& y) { fine_->apply(x.data(), y.data()); };
+    auto const apply = [this](std::vector<Real> const& x, std::vector<Real>& y) {
+      fine_->apply_nearly(x.data(), y.data());
+    };
     auto const smooth_with = [&](Chebyshev::Apply precondition) {
       smoother_ =
           std::make_unique<Chebyshev>(lattice->comm(), apply, std::move(precondition),
@@ -79,7 +81,7 @@ void NodeMultigrid::apply(std::vector<Real> const& r, std::vector<Real>& z) {
   }
   int const components = fine_->components();
   smoother_->smooth(r, z, true);
-  fine_->apply(z.data(), residual_.data());
+  fine_->apply_nearly(z.data(), residual_.data());
   for (std::size_t i = 0; i < r.size(); ++i) residual_[i] = fixed_[i] ? 0 : r[i] - residual_[i];
   between_->transposed(components, residual_.data(), coarse_r_.data());
   for (std::size_t i = 0; i < coarse_r_.size(); ++i) coarse_r_[i] *= corners_free_[i];

@@ -89,6 +89,26 @@ def test_tangents_are_their_matrices(materials, layout):
     assert np.abs(dense @ v.ravel() - (tangent @ v).ravel()).max() < 1e-13 * np.abs(dense).max() * np.abs(v).max() * 30
 
 
+@pytest.mark.parametrize("per_axis", [1, 2, 3])  # odd and even numbers of blocks, whatever the width of vectors
+@pytest.mark.parametrize("degree", [1, 2, 3])
+@pytest.mark.parametrize("materials", [*MATERIALS, "initial"])
+def test_smoothers_have_the_tangent_in_single_precision_at_any_size(materials, degree, per_axis):
+    solid = solid_of(
+        MATERIALS.get(materials, (PLAIN,)), lambda mesh: fem.jittered(mesh, per_axis, weights="volume"), degree
+    )
+    tangent = solid.tangent(displacement(solid.mesh), "initial" if materials == "initial" else "current")
+    u, other = displacement(solid.mesh, seed=1), displacement(solid.mesh, seed=2)
+    exact, near = tangent @ u, tangent.native.apply_nearly(u.reshape(-1)).reshape(-1, 3)
+    assert 0 < abs(near - exact).max() < 3e-6 * abs(exact).max()
+    assert (other * near).sum() == pytest.approx(
+        u.reshape(-1) @ tangent.native.apply_nearly(other.reshape(-1)), abs=1e-6 * abs(other * exact).sum()
+    )
+    for size in 2.0**-300, 2.0**300:
+        np.testing.assert_allclose(
+            tangent.native.apply_nearly(size * u.reshape(-1)), size * near.reshape(-1), rtol=1e-12
+        )
+
+
 @pytest.mark.parametrize("materials", MATERIALS)
 def test_the_positive_form_of_the_tangent_has_no_direction_without_stiffness(materials):
     """Where the body is pressed flat, and the tangent itself has such directions; elsewhere forms are the same."""

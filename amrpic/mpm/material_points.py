@@ -216,8 +216,9 @@ def _require_enough(mesh: Mesh, held: np.ndarray, poor: np.ndarray) -> None:
     first = int(np.argmax(poor)) if poor.any() else 0
     raise_together(
         mesh.comm,
-        f"element {mesh.elements[first].tolist()} has {held[first]} points, as {int(poor.sum())} on a rank have fewer than the "
-        f"{enough(mesh.degree)} that degree {mesh.degree} needs; set floor_stiffness, or fill it with a soft material"
+        f"element {mesh.elements[first].tolist()} has {held[first]} points, fewer than the {enough(mesh.degree)} that degree "
+        f"{mesh.degree} needs, and is one of {int(poor.sum())} such on a rank; "
+        "set floor_stiffness, or fill it with a soft material"
         if poor.any()
         else None,
         InputError,

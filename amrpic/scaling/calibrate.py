@@ -21,7 +21,7 @@ from mpi4py import MPI
 from ..scene.scene import Scene
 from .machine import Machine, Network, Work
 from .measure import UNCOUNTED
-from .measured import Measured, Run, medians
+from .measured import Measured, Run
 from .model import OF_NEW, OF_WORK, PARTS, STAGES, Amounts, constants_of, fitted, network_time, row_of
 from .plan import Plan, Planner
 from .study import grown, launch
@@ -127,12 +127,20 @@ def middle(one: Measured) -> int:
     return UNCOUNTED + (one.steps // one.runs + 1) // 2
 
 
-def _least_disturbed(runs: Sequence[Run]) -> list[Run]:
-    """Return of each number of ranks the fastest run: others may use the machine for as long as one takes."""
-    best: dict[int, Run] = {}
-    for run in sorted(runs, key=lambda run: statistics.median(run.seconds)):
-        best.setdefault(run.ranks, run)
-    return list(best.values())
+def least_disturbed(runs: Sequence[Run]) -> list[Measured]:
+    """Return the medians of the fastest run of each number of ranks, with each stage from the run in which it was fastest.
+
+    Others may use the machine for as long as a run takes, and the system may have to find memory for some of its stages.
+    """
+    found = []
+    for ranks in sorted({run.ranks for run in runs}):
+        each = sorted((Measured.of([run]) for run in runs if run.ranks == ranks), key=lambda one: one.seconds)
+        names = dict.fromkeys(name for one in each for name in one.stages)
+        stages = {
+            name: min((one.stages[name] for one in each if name in one.stages), key=lambda s: s.most) for name in names
+        }
+        found.append(replace(each[0], stages=stages))
+    return found
 
 
 def _for(scene: Path, ranks: int) -> list[str]:
@@ -146,7 +154,7 @@ def measured(
     """Return by ranks the medians of runs, which are named by the numbers of their scenes, with plans of these."""
     found: dict[int, list[tuple[Measured, Plan]]] = {}
     for number, scene in enumerate(scenes):
-        for one in medians(_least_disturbed([run for run in runs if run.scene == f"{number}"])):
+        for one in least_disturbed([run for run in runs if run.scene == f"{number}"]):
             plan = Planner(Scene.from_toml(scene, _for(scene, one.ranks)), say, middle(one)).plan(one.ranks)
             found.setdefault(one.ranks, []).append((one, plan))
     return found

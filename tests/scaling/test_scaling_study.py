@@ -15,6 +15,7 @@ from mpi4py import MPI
 import mpi_batch
 from amrpic.errors import InputError
 from amrpic.run.clock import Spent
+from amrpic.scaling.calibrate import least_disturbed
 from amrpic.scaling.measure import measure, over_ranks
 from amrpic.scaling.measured import Measured, Run, Stage, by_kind, efficiency, medians
 from amrpic.scaling.show import draw, stage_table, table
@@ -72,6 +73,14 @@ def test_what_new_meshes_take_more_stands_apart():
     assert found.stages["new mesh"].most == (2 + 6) / 2  # for each of two
     assert (found.meshes, found.remade) == pytest.approx((2 / 3, 1 / 3)) and found.of_solves == [3, 2]
     assert (found.cells, found.new_cells) == (12, 12)
+
+
+def test_constants_come_from_the_fastest_run_and_each_stage_from_the_one_in_which_it_was():
+    slow, fast = run([4.0, 4.0, 4.0]), run([2.0, 3.0, 2.0])
+    slow.steps[:] = [{"solve": Stage(5, 5, 5), "deposit": Stage(1, 1, 1)}] * 3
+    fast.steps[:] = [{"solve": Stage(1, 1, 1), "deposit": Stage(2, 2, 2)}] * 3
+    (found,) = least_disturbed([slow, fast])
+    assert found.seconds == 2.0 and [found.stages[name].most for name in ("solve", "deposit")] == [1, 1]
 
 
 @pytest.mark.mpi(ranks=(1, 2))

@@ -21,8 +21,8 @@ from mpi4py import MPI
 from ..scene.scene import Scene
 from .machine import Machine, Network, Work
 from .measure import UNCOUNTED
-from .measured import NEW_MESH, Measured, Run, medians
-from .model import OF_WORK, PARTS, STAGES, Amounts, constants_of, fitted, network_time, row_of
+from .measured import Measured, Run
+from .model import OF_NEW, OF_WORK, PARTS, STAGES, Amounts, constants_of, fitted, network_time, row_of
 from .plan import Plan, Planner
 from .study import grown, launch
 
@@ -73,6 +73,8 @@ SIZES = (
     (80, 16, 2, 2, 500_000, TO_MESH, LARGE, 4),
     (96, 16, 1, 1, 800_000, TO_MESH, NONE, 0),
     (96, 32, 2, 1, 100_000, TO_MESH, NONE, 0),
+    (48, 24, 3, 2, 400_000, TO_MESH, LARGE, 4),
+    (112, 24, 2, 1, 200_000, TO_MESH, SMALL, 4),
 )
 STEPS = 8
 
@@ -125,12 +127,20 @@ def middle(one: Measured) -> int:
     return UNCOUNTED + (one.steps // one.runs + 1) // 2
 
 
-def _least_disturbed(runs: Sequence[Run]) -> list[Run]:
-    """Return of each number of ranks the fastest run: others may use the machine for as long as one takes."""
-    best: dict[int, Run] = {}
-    for run in sorted(runs, key=lambda run: statistics.median(run.seconds)):
-        best.setdefault(run.ranks, run)
-    return list(best.values())
+def least_disturbed(runs: Sequence[Run]) -> list[Measured]:
+    """Return the medians of the fastest run of each number of ranks, with each stage from the run in which it was fastest.
+
+    Others may use the machine for as long as a run takes, and the system may have to find memory for some of its stages.
+    """
+    found = []
+    for ranks in sorted({run.ranks for run in runs}):
+        each = sorted((Measured.of([run]) for run in runs if run.ranks == ranks), key=lambda one: one.seconds)
+        names = dict.fromkeys(name for one in each for name in one.stages)
+        stages = {
+            name: min((one.stages[name] for one in each if name in one.stages), key=lambda s: s.most) for name in names
+        }
+        found.append(replace(each[0], stages=stages))
+    return found
 
 
 def _for(scene: Path, ranks: int) -> list[str]:
@@ -144,7 +154,7 @@ def measured(
     """Return by ranks the medians of runs, which are named by the numbers of their scenes, with plans of these."""
     found: dict[int, list[tuple[Measured, Plan]]] = {}
     for number, scene in enumerate(scenes):
-        for one in medians(_least_disturbed([run for run in runs if run.scene == f"{number}"])):
+        for one in least_disturbed([run for run in runs if run.scene == f"{number}"]):
             plan = Planner(Scene.from_toml(scene, _for(scene, one.ranks)), say, middle(one)).plan(one.ranks)
             found.setdefault(one.ranks, []).append((one, plan))
     return found
@@ -171,8 +181,8 @@ def fits(found: Sequence[tuple[Measured, Plan]], machine: Machine, least: Mappin
     """
     taken: dict[str, list[tuple[dict[str, float], float]]] = {}
     for one, plan in found:
-        amounts = amounts_of(one, plan, machine)
-        for stage in (*STAGES, NEW_MESH):
+        for stage in (*STAGES, *OF_NEW):
+            amounts = amounts_of(one, plan, machine, stage in OF_NEW)
             seconds = one.stages[stage].most if stage in one.stages else 0.0
             seconds -= sum(network_time(stage, plan, machine.network, amounts))
             if seconds > 0:
@@ -188,10 +198,10 @@ def fits(found: Sequence[tuple[Measured, Plan]], machine: Machine, least: Mappin
     return out
 
 
-def amounts_of(one: Measured, plan: Plan, machine: Machine) -> Amounts:
-    """Return what a run had to do, on the mesh and with the cycles that were measured."""
+def amounts_of(one: Measured, plan: Plan, machine: Machine, on_new: bool = False) -> Amounts:
+    """Return what a run had to do with the cycles that were measured, in steps that left the mesh as it was or in others."""
     cycles = statistics.median(plan.all_cycles(cycles) for cycles in one.of_solves)
-    return Amounts.with_all(plan, machine, cycles, one.cells / float(plan.cells.sum()))
+    return Amounts.with_all(plan, machine, cycles, (one.new_cells if on_new else one.cells) / float(plan.cells.sum()))
 
 
 def ping_pong(comm: MPI.Comm, seconds: float = 0.3) -> tuple[float, float, float]:

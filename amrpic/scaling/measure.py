@@ -53,6 +53,7 @@ def measure(
     stages: list[dict[str, Stage]] = []
     cycles: list[int] = []
     meshes: list[int] = []
+    cells: list[int] = []
     since = now()
 
     def step_over(of: Simulation) -> None:
@@ -64,6 +65,7 @@ def measure(
             stages.append(over_ranks(comm, {**_with_walls(of.state.spent, walls), **waiting}))
             cycles.append(of.report.cycles)
             meshes.append(made)
+            cells.append(of.hierarchy.cells())
         comm.Barrier()
         since = now()
 
@@ -77,7 +79,7 @@ def measure(
         kind,
         comm.size,
         name,
-        mesh.cells(),
+        cells,
         total,
         cell_imbalance(mesh),
         comm.allreduce(number, op=MPI.MAX) * comm.size / total if total else 1.0,

@@ -16,7 +16,9 @@ from ..errors import InputError, OutputError
 OUTPUT = "output"  # the stage of series, diagnostics and dumps in the course of a run
 WALLS = "open walls"  # the part of a solve that finds the potential at them
 WAITING = "waiting"  # for other ranks, between the stages, where these begin together
-NEW_MESH = "new mesh"  # what a step takes more for each new mesh, in all its stages
+NEW_MESH = "new mesh"  # what a step takes more for each new mesh: to make it, and to sort and deposit particles on it
+NEW_SOLVER = "new solver"  # what it takes more in other stages, once: the last mesh is solved on for the first time
+OF_MESH = "regrid", "migrate", "deposit"
 END = "end"  # what a run writes at its end; not part of a step
 
 
@@ -43,7 +45,7 @@ class Run:
     kind: str  # strong or weak
     ranks: int
     scene: str  # what the scene is known by: see `study.name_of`
-    cells: int  # of all levels
+    cells: list[int]  # of all levels, at the end of each step
     particles: int
     cell_imbalance: float  # Σ_l max ÷ Σ_l mean over ranks of the cells of level l: levels are visited in turn
     particle_imbalance: float  # max ÷ mean over ranks
@@ -68,6 +70,8 @@ class Run:
             values = json.loads(path.read_text(encoding="utf-8"))
             values["steps"] = [{name: Stage(**of) for name, of in step.items()} for step in values["steps"]]
             values["memory"] = tuple(values["memory"])
+            if isinstance(values["cells"], int):  # runs of earlier versions kept those of the last step alone
+                values["cells"] = [values["cells"]] * len(values["steps"])
             return cls(**values)
         except (OSError, ValueError, TypeError, KeyError) as reason:
             raise InputError(f"{path} is no run of a scaling study ({reason}); remove it") from None
@@ -91,6 +95,8 @@ class Measured:
     stages: dict[str, Stage]
     meshes: float  # new ones of a step, on average
     of_solves: list[int]  # cycles of the solves from which the stages come
+    remade: float  # the part of the steps that made new meshes
+    new_cells: int  # of new meshes
 
     @property
     def work(self) -> float:
@@ -101,18 +107,21 @@ class Measured:
     def of(cls, runs: Sequence[Run]) -> Self:
         """Return the medians of runs of one kind and number of ranks."""
         first = runs[0]
-        all_ = [one for run in runs for one in zip(run.steps, run.cycles, run.meshes, strict=True)]
+        all_ = [one for run in runs for one in zip(run.steps, run.cycles, run.meshes, run.cells, strict=True)]
+        changed = [one for one in all_ if one[2]]
         steps = [one for one in all_ if not one[2]] or all_
-        names = dict.fromkeys(name for step, _, _ in all_ for name in step)
-        stages = {name: _median(step.get(name, NOTHING) for step, _, _ in steps) for name in names}
+        names = dict.fromkeys(name for step, *_ in all_ for name in step)
+        stages = {name: _median(step.get(name, NOTHING) for step, *_ in steps) for name in names}
         if len(steps) < len(all_):
-            stages[NEW_MESH] = _more([(step, meshes) for step, _, meshes in all_ if meshes], stages)
+            usual, others = dict(stages), names.keys() - {*OF_MESH, WAITING}
+            stages[NEW_MESH] = _more([(step, meshes) for step, _, meshes, _ in changed], usual, OF_MESH)
+            stages[NEW_SOLVER] = _more([(step, 1) for step, *_ in changed], usual, others)
         ends = [run.end for run in runs]
         stages[END] = Stage(min(ends), statistics.fmean(ends), statistics.median(ends))
         return cls(
             first.kind,
             first.ranks,
-            first.cells,
+            round(statistics.median(cells for *_, cells in steps)),
             first.particles,
             first.cell_imbalance,
             first.particle_imbalance,
@@ -122,8 +131,10 @@ class Measured:
             statistics.median(cycles for run in runs for cycles in run.cycles),
             statistics.median(seconds for run in runs for seconds in run.seconds),
             stages,
-            statistics.fmean(meshes for _, _, meshes in all_),
-            [cycles for _, cycles, _ in steps],
+            statistics.fmean(meshes for _, _, meshes, _ in all_),
+            [cycles for _, cycles, *_ in steps],
+            len(changed) / len(all_),
+            round(statistics.median(cells for *_, cells in changed or steps)),
         )
 
 
@@ -131,14 +142,13 @@ def _median(stages: Iterable[Stage]) -> Stage:
     return Stage(*_each(statistics.median, [tuple(asdict(stage).values()) for stage in stages]))
 
 
-def _more(steps: Sequence[tuple[dict[str, Stage], int]], usual: dict[str, Stage]) -> Stage:
-    """Return the median of what steps take more than usual for each of their new meshes, all stages together."""
+def _more(steps: Sequence[tuple[dict[str, Stage], int]], usual: dict[str, Stage], names: Iterable[str]) -> Stage:
+    """Return the median of what steps take more than usual in the named stages together, for each of as many times."""
 
     def total(step: dict[str, Stage]) -> Any:
-        rows = [astuple(stage) for name, stage in step.items() if name != WAITING]
-        return np.array(rows, dtype=float).sum(axis=0)
+        return np.array([astuple(step.get(name, NOTHING)) for name in names], dtype=float).sum(axis=0)
 
-    each = [(total(step) - total(usual)) / meshes for step, meshes in steps]
+    each = [(total(step) - total(usual)) / times for step, times in steps]
     return Stage(*np.maximum(np.median(each, axis=0), 0.0).tolist())
 
 

@@ -25,7 +25,7 @@ import numpy as np
 
 from ..mesh.boxes import Array
 from .machine import Machine, Network, Work
-from .measured import NEW_MESH
+from .measured import NEW_MESH, NEW_SOLVER
 from .plan import Plan
 
 # Calls of a stage that are counted on virtual ranks, and whether they are made once per cycle.
@@ -38,9 +38,11 @@ STAGES: Mapping[str, Sequence[tuple[str, bool]]] = {
     "gather": (("gather", False),),
     "output": (("output", False),),
 }
-OF_NEW_MESH: Sequence[tuple[str, bool]] = tuple(
-    (call, False) for call in ("set-up", "regrid", "announce", "migrate", "deposit")
-)
+# What a step takes more for each new mesh, and with new meshes: no part of `step_time`.
+OF_NEW: Mapping[str, Sequence[tuple[str, bool]]] = {
+    NEW_MESH: tuple((call, False) for call in ("regrid", "announce", "migrate", "deposit")),
+    NEW_SOLVER: (("set-up", False),),
+}
 NETWORK = ("latency", "bandwidth", "collective")
 OF_CELLS = "cells", "swept", "spilled", "swept_spilled", "swept_faces"  # what grows with a rank's cells
 OF_WALLS = "patches", "interactions", "near"
@@ -120,6 +122,7 @@ PARTS: Mapping[str, Sequence[str]] = {
     "gather": ("cells", "particles", "bricks", "bytes"),
     "output": ("cells", "particles"),
     NEW_MESH: ("cells", "spilled", "particles"),
+    NEW_SOLVER: ("cells", "spilled"),
 }
 OF_WORK = {
     "cells": "cell",
@@ -144,7 +147,7 @@ def constants_of(stage: str, plan: Plan) -> str:
 
 def row_of(stage: str, plan: Plan, amounts: Amounts) -> dict[str, float]:
     """Return the amounts that a stage's work grows with."""
-    calls = OF_NEW_MESH if stage == NEW_MESH else STAGES[stage]
+    calls = _calls(stage)
     given = {what: getattr(amounts, what) for what in OF_WORK if what != "bytes"}
     given["bytes"] = sum(times * plan.most(call, "bytes") for call, times in _times(calls, amounts))
     return {what: given[what] for what in PARTS[constants_of(stage, plan)]}
@@ -157,7 +160,7 @@ def step_time(plan: Plan, machine: Machine, cycles: float, amounts: Amounts | No
 
 
 def stage_time(stage: str, plan: Plan, machine: Machine, amounts: Amounts) -> Time:
-    """Return the time of a stage of `STAGES`, or of what a step takes more for a new mesh."""
+    """Return the time of a stage of `STAGES` or `OF_NEW`."""
     work = machine.work(plan.ranks).get(constants_of(stage, plan), Work())
     seconds = work.call + sum(
         value * getattr(work, OF_WORK[what]) for what, value in row_of(stage, plan, amounts).items()
@@ -185,11 +188,15 @@ def network_time(stage: str, plan: Plan, network: Network, amounts: Amounts) -> 
         return 0.0, 0.0
     here = min(network.ranks_per_node, plan.ranks)
     messages = collectives = 0.0
-    for call, times in _times(OF_NEW_MESH if stage == NEW_MESH else STAGES[stage], amounts):
+    for call, times in _times(_calls(stage), amounts):
         leaving = plan.leaving(call, here) if plan.ranks > here else here * plan.most(call, "bytes")
         messages += times * (plan.most(call, "messages") * network.latency + leaving / network.bandwidth)
         collectives += times * plan.most(call, "collectives") * math.log2(plan.ranks) * network.collective
     return messages, collectives
+
+
+def _calls(stage: str) -> Sequence[tuple[str, bool]]:
+    return OF_NEW[stage] if stage in OF_NEW else STAGES[stage]
 
 
 def _times(calls: Sequence[tuple[str, bool]], amounts: Amounts) -> list[tuple[str, float]]:

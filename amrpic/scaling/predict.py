@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from ..scene.scene import Scene
 from .calibrate import amounts_of, middle
 from .machine import Machine
-from .measured import NEW_MESH, Measured
-from .model import Time, stage_time, step_time
+from .measured import NEW_MESH, NEW_SOLVER, Measured
+from .model import OF_NEW, Time, stage_time, step_time
 from .plan import Plan, Planner
 
 LEAST = 0.05  # of a step: shorter stages do not count
@@ -29,7 +29,7 @@ def predicted(
         plan = Planner(scene, say, middle(one)).plan(one.ranks)
         times = _modelled(plan, machine, one)
         stages = {name: one.stages[name].most for name in times if name in one.stages}
-        often = {NEW_MESH: one.meshes}
+        often = {NEW_MESH: one.meshes, NEW_SOLVER: one.remade}
         step = sum(often.get(name, 1.0) * seconds for name, seconds in stages.items())
         for name, seconds in stages.items():
             part = often.get(name, 1.0) * seconds / step
@@ -44,5 +44,8 @@ def predicted(
 
 def _modelled(plan: Plan, machine: Machine, one: Measured) -> dict[str, Time]:
     amounts = amounts_of(one, plan, machine)
-    changed = stage_time(NEW_MESH, plan, machine, amounts)
-    return {**step_time(plan, machine, one.cycles, amounts), NEW_MESH: changed}
+    changed = amounts_of(one, plan, machine, on_new=True)
+    return {
+        **step_time(plan, machine, one.cycles, amounts),
+        **{stage: stage_time(stage, plan, machine, changed) for stage in OF_NEW},
+    }

@@ -15,6 +15,7 @@ from mpi4py import MPI
 import mpi_batch
 from amrpic.errors import InputError
 from amrpic.run.clock import Spent
+from amrpic.scaling.calibrate import least_disturbed
 from amrpic.scaling.measure import measure, over_ranks
 from amrpic.scaling.measured import Measured, Run, Stage, by_kind, efficiency, medians
 from amrpic.scaling.show import draw, stage_table, table
@@ -27,14 +28,15 @@ SMALL = ["domain.cells=16", "refinement.levels=1", "bunches.0.particles=2000", "
 
 def one(kind: str, ranks: int, cells: int, particles: int, seconds: float) -> Measured:
     stages = {"solve": Stage(seconds / 4, seconds / 3, seconds / 2, 12, 3e4, 5), "end": Stage(1, 1, 1)}
-    return Measured(kind, ranks, cells, particles, 1.0, 1.0, (1e6, 1e6, 1e6), 1, 5, 2, seconds, stages, 0.0, [2])
+    return Measured(
+        kind, ranks, cells, particles, 1.0, 1.0, (1e6, 1e6, 1e6), 1, 5, 2, seconds, stages, 0.0, [2], 0.0, cells
+    )
 
 
 def run(seconds: list[float], kind: str = "strong", ranks: int = 1) -> Run:
     steps = [{"solve": Stage(s / 4, s / 3, s / 2)} for s in seconds]
-    return Run(
-        kind, ranks, "x", 10, 10, 1.0, 1.0, (1, 2, 3), [2] * len(seconds), seconds, steps, [0] * len(seconds), 0.1
-    )
+    cycles, cells, meshes = ([number] * len(seconds) for number in (2, 10, 0))
+    return Run(kind, ranks, "x", cells, 10, 1.0, 1.0, (1, 2, 3), cycles, seconds, steps, meshes, 0.1)
 
 
 def test_efficiency_is_one_where_time_falls_with_ranks_or_work_grows_with_them():
@@ -60,17 +62,25 @@ def test_a_scene_grows_by_cells_and_particles():
     assert [bunch["particles"] for bunch in larger.to_dict()["bunches"]] == [16000]
 
 
-def test_what_a_new_mesh_takes_more_stands_apart():
-    usual, with_two = (
-        {"solve": Stage(1, 1, 1), "waiting": Stage(5, 5, 5)},
-        {"solve": Stage(5, 5, 5), "waiting": Stage(9, 9, 9)},
-    )
-    steps = [usual, with_two, usual]
-    found = Measured.of(
-        [Run("strong", 1, "x", 10, 10, 1.0, 1.0, (1, 2, 3), [3, 9, 2], [1.0] * 3, steps, [0, 2, 0], 0.1)]
-    )
-    assert found.stages["solve"].most == 1 and found.stages["new mesh"].most == 2
-    assert found.meshes == pytest.approx(2 / 3) and found.of_solves == [3, 2]
+def test_what_new_meshes_take_more_stands_apart():
+    def step(solve: float, migrate: float, **others: float) -> dict[str, Stage]:
+        return {name: Stage(s, s, s) for name, s in {"solve": solve, "migrate": migrate, **others}.items()}
+
+    usual, with_two = step(1, 1, waiting=5), step(4, 3, waiting=9, regrid=6)
+    given = ([3, 9, 2], [1.0] * 3, [usual, with_two, usual], [0, 2, 0], 0.1)
+    found = Measured.of([Run("strong", 1, "x", [10, 12, 14], 10, 1.0, 1.0, (1, 2, 3), *given)])
+    assert found.stages["solve"].most == 1 and found.stages["new solver"].most == 3
+    assert found.stages["new mesh"].most == (2 + 6) / 2  # for each of two
+    assert (found.meshes, found.remade) == pytest.approx((2 / 3, 1 / 3)) and found.of_solves == [3, 2]
+    assert (found.cells, found.new_cells) == (12, 12)
+
+
+def test_constants_come_from_the_fastest_run_and_each_stage_from_the_one_in_which_it_was():
+    slow, fast = run([4.0, 4.0, 4.0]), run([2.0, 3.0, 2.0])
+    slow.steps[:] = [{"solve": Stage(5, 5, 5), "deposit": Stage(1, 1, 1)}] * 3
+    fast.steps[:] = [{"solve": Stage(1, 1, 1), "deposit": Stage(2, 2, 2)}] * 3
+    (found,) = least_disturbed([slow, fast])
+    assert found.seconds == 2.0 and [found.stages[name].most for name in ("solve", "deposit")] == [1, 1]
 
 
 @pytest.mark.mpi(ranks=(1, 2))

@@ -19,7 +19,8 @@ from ..errors import InputError
 from ..parallel import from_rank_0
 from . import vetting_child
 
-PATIENCE, BYTES_PER_SECOND = 20.0, 20e6  # s for any file, and the slowest pace of reading one
+PATIENCE, BYTES_PER_SECOND = 20.0, 20e6  # s of the processor for any file, and the slowest pace of reading one
+STALLED = 15  # times as long by the clock on the wall: machines and disks of many users may stand still for a while
 REMEDY = "replace it by a whole copy"
 
 Key = tuple[str, int, int]  # path, time of the last change in ns, bytes
@@ -61,22 +62,22 @@ def _key(path: Path) -> Key | None:
 
 
 def _answer(path: Path, patience: float) -> str:
-    """Return what the child says of a file, or of its end."""
+    """Return what the child says of a file, or of its end; it may take so many seconds of the processor."""
     global _child
     if _child is None or _child.poll() is not None:
         _child = _start()
     child = _child
     assert child.stdin is not None and child.stdout is not None
     with contextlib.suppress(BrokenPipeError):
-        child.stdin.write(json.dumps(str(path)) + "\n")
+        child.stdin.write(json.dumps([str(path), patience]) + "\n")
         child.stdin.flush()
-    ready, _, _ = select.select([child.stdout], [], [], patience)
+    ready, _, _ = select.select([child.stdout], [], [], STALLED * patience)
     if answer := child.stdout.readline().rstrip() if ready else "":
         return answer
     _end()
-    if not ready:
-        return f"HDF5 does not come to an end with it in {patience:.0f} s"
     status = child.returncode
+    if not ready or status == -signal.SIGPROF:
+        return f"HDF5 does not come to an end with it in {patience * (1 if ready else STALLED):.0f} s"
     cause = signal.Signals(-status).name if status < 0 else f"status {status}"
     return f"it is damaged, and HDF5 crashes on it ({cause})"
 

@@ -1,10 +1,12 @@
 """The process that opens foreign HDF5 files first: a program of its own, which knows h5py and nothing of amrpic.
 
-It reads a path a line, as JSON, and answers each with a line: "fine", or what is wrong with the file. A file that merely is not
-HDF5, or not what somebody expects, is fine here: what matters is that reading it ends, and not this process.
+It reads a path a line, as JSON, with the seconds of the processor that the file may take, and answers each with a line: "fine",
+or what is wrong with the file. A file that merely is not HDF5, or not what somebody expects, is fine here: what matters is that
+reading it ends, and not this process. One that takes longer ends it by SIGPROF.
 """
 
 import json
+import signal
 import sys
 
 import h5py
@@ -16,13 +18,15 @@ MOST_PER_BYTE = 2000  # bytes that a dataset may take in memory for each of the 
 def main() -> None:
     """Answer until the input ends."""
     for line in sys.stdin:
-        path = json.loads(line)
+        path, seconds = json.loads(line)
+        signal.setitimer(signal.ITIMER_PROF, seconds)
         try:
             answer = _read(path)
         except MemoryError:
             answer = "it asks for more memory than there is"
         except Exception:
             answer = "fine"  # whoever opens it next meets the same, and says it better
+        signal.setitimer(signal.ITIMER_PROF, 0)
         print(answer, flush=True)
 
 

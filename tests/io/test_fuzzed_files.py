@@ -141,6 +141,7 @@ def test_a_crash_of_the_first_reader_is_one_sentence(tmp_path, monkeypatch, name
     (tmp_path / "child.py").write_text(CRASHING)
     monkeypatch.setattr(vetting_child, "__file__", str(tmp_path / "child.py"))
     monkeypatch.setattr(vetting, "PATIENCE", 1.0)
+    monkeypatch.setattr(vetting, "STALLED", 1)
     vetting._end()
     bad_inputs.beam(tmp_path / name)
     bad_inputs.beam(tmp_path / "good.h5")
@@ -148,6 +149,40 @@ def test_a_crash_of_the_first_reader_is_one_sentence(tmp_path, monkeypatch, name
         with pytest.raises(InputError, match=rf"{name} cannot be read: .*{words}.*; replace it by a whole copy"):
             read_particles(tmp_path / name)
         read_particles(tmp_path / "good.h5")
+    vetting._end()
+
+
+LOOPING = """
+from importlib.util import module_from_spec, spec_from_file_location
+
+spec = spec_from_file_location("child", {path!r})
+child = module_from_spec(spec)
+spec.loader.exec_module(child)
+true_read = child._read
+
+def read(path):
+    while path.endswith("loop.h5"):
+        pass
+    return true_read(path)
+
+child._read = read
+child.main()
+"""
+
+
+def test_a_file_may_take_so_many_seconds_of_the_processor(tmp_path, monkeypatch):
+    """Those of the wall are not counted: the machine may stand still meanwhile."""
+    (tmp_path / "child.py").write_text(LOOPING.format(path=vetting_child.__file__))
+    monkeypatch.setattr(vetting_child, "__file__", str(tmp_path / "child.py"))
+    monkeypatch.setattr(vetting, "PATIENCE", 0.5)
+    vetting._end()
+    for name in ("loop.h5", "good.h5"):
+        bad_inputs.beam(tmp_path / name)
+    with pytest.raises(
+        InputError, match=r"loop.h5 cannot be read: HDF5 does not come to an end with it in 1 s; replace it"
+    ):
+        read_particles(tmp_path / "loop.h5")
+    read_particles(tmp_path / "good.h5")
     vetting._end()
 
 

@@ -75,7 +75,7 @@ def read_checkpoint(path: Path) -> None:
 
 def try_reading(read: Callable[[Path], object], path: Path, name: str) -> bool:
     """Whether a file was read; if it was not, the reason must be one sentence."""
-    started = time.monotonic()
+    started = time.process_time()
     try:
         with warnings.catch_warnings(action="error", category=RuntimeWarning):
             read(path)
@@ -87,7 +87,7 @@ def try_reading(read: Callable[[Path], object], path: Path, name: str) -> bool:
     except Exception as error:
         pytest.fail(f"{name}: {type(error).__name__}: {error}")
     finally:
-        assert time.monotonic() - started < 40 * PATIENCE, f"{name} took {time.monotonic() - started:.0f} s"
+        assert time.process_time() - started < 40 * PATIENCE, f"{name} took {time.process_time() - started:.0f} s"
 
 
 @pytest.mark.parametrize("kind", COUNTS)
@@ -175,6 +175,7 @@ def test_a_file_may_take_so_many_seconds_of_the_processor(tmp_path, monkeypatch)
     (tmp_path / "child.py").write_text(LOOPING.format(path=vetting_child.__file__))
     monkeypatch.setattr(vetting_child, "__file__", str(tmp_path / "child.py"))
     monkeypatch.setattr(vetting, "PATIENCE", 0.5)
+    monkeypatch.setattr(vetting, "STALLED", 600)
     vetting._end()
     for name in ("loop.h5", "good.h5"):
         bad_inputs.beam(tmp_path / name)

@@ -34,8 +34,11 @@ run: setup  ## the main job: SCENE on RANKS ranks
 	status=0; while wait $$run || status=$$?; kill -0 $$run 2>/dev/null; do status=0; done; exit $$status
 
 # A file more than there are cores: many tests wait for processes that end.
-test: setup  ## all tests, some files at a time; ARGS go to pytest
-	$(BIN)/python -m pytest -n $$(($(JOBS) + 1)) --dist loadfile --no-loadscope-reorder $(ARGS)
+test: setup build/waiting.so  ## all tests, some files at a time; ARGS go to pytest
+	LD_PRELOAD=$(CURDIR)/build/waiting.so $(BIN)/python -m pytest -n $$(($(JOBS) + 1)) --dist loadfile --no-loadscope-reorder $(ARGS)
+
+build/waiting.so: tests/support/waiting.c
+	@mkdir -p build; cc -O2 -shared -fPIC -o $@ $<
 
 # An old and a middling processor, as QEMU has them: the set that each gets, and a refined problem with a known potential.
 nehalem: setup .venv/.qemu  ## the solver on processors with SSE4.2 and AVX2 alone, emulated

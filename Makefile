@@ -35,9 +35,10 @@ run: setup  ## the main job: SCENE on RANKS ranks
 
 # A file more than there are cores: many tests wait for processes that end.
 test: setup build/waiting.so  ## all tests, some files at a time; ARGS go to pytest
-	LD_PRELOAD=$(CURDIR)/build/waiting.so $(BIN)/python -m pytest -n $$(($(JOBS) + 1)) --dist loadfile --no-loadscope-reorder $(ARGS)
+	$(SLEEPING) $(BIN)/python -m pytest -n $$(($(JOBS) + 1)) --dist loadfile --no-loadscope-reorder $(ARGS)
 
-build/waiting.so: tests/support/waiting.c
+SLEEPING := env LD_PRELOAD=$(CURDIR)/build/waiting.so
+build/waiting.so: tests/support/waiting.c .venv/.system
 	@mkdir -p build; cc -O2 -shared -fPIC -o $@ $<
 
 # An old and a middling processor, as QEMU has them: the set that each gets, and a refined problem with a known potential.
@@ -78,11 +79,11 @@ $(ARM)/.packages: .venv/.packages .venv/.qemu
 	  print(*(p.replace(" ", "") for p in project["dependencies"]), "pytest", "pytest-xdist")')
 	@touch $@
 
-verify: setup .venv/.docs .venv/.browser  ## accuracy against exact answers, and the long tests; PUBLISH=1: into docs/reports
+verify: setup build/waiting.so .venv/.docs .venv/.browser  ## accuracy against exact answers, and the long tests; PUBLISH=1: into docs/reports
 	@failed=0; try() { echo "$$@"; "$$@" || failed=1; }; \
 	try mpiexec -n $(RANKS) $(BIN)/amrpic verify --output $(REPORTS); \
 	try mpiexec -n $(RANKS) $(BIN)/amrpic verify --quick --pareto examples/drift.toml --pareto examples/waist.toml --output $(REPORTS); \
-	try $(BIN)/python -m pytest -m "long or browser" --need-browser $(ARGS); \
+	try $(SLEEPING) $(BIN)/python -m pytest -m "long or browser" --need-browser $(ARGS); \
 	exit $$failed
 
 # What the verification compares with where a peer is needed to make it.

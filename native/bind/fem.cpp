@@ -158,27 +158,19 @@ void bind_fem(nb::module_& m) {
   m.def("fem_mass", &fem::mass, "points"_a, "components"_a);
   m.def("fem_poisson", &fem::poisson, "points"_a, "components"_a);
   nb::class_<NodeMultigrid>(m, "FemMultigrid", "A preconditioner that solves of operators near each other share.");
+  auto const product = [](auto apply) {
+    return [apply](fem::Operator const& a, bind::Reals u) {
+      return computed([&] {
+        std::vector<Real> v(a.unknowns());
+        (a.*apply)(u.data(), v.data());
+        return v;
+      });
+    };
+  };
   nb::class_<fem::Operator>(m, "FemOperator", "An operator at points; amrpic.fem has those of mass and of Poisson.")
-      .def(
-          "apply",
-          [](fem::Operator const& a, bind::Reals u) {
-            return computed([&] {
-              std::vector<Real> v(a.unknowns());
-              a.apply(u.data(), v.data());
-              return v;
-            });
-          },
-          "u"_a)
-      .def(
-          "apply_nearly",
-          [](fem::Operator const& a, bind::Reals u) {
-            return computed([&] {
-              std::vector<Real> v(a.unknowns());
-              a.apply_nearly(u.data(), v.data());
-              return v;
-            });
-          },
-          "u"_a, "The product as smoothers have it, in single precision where there is such a form.")
+      .def("apply", product(&fem::Operator::apply), "u"_a)
+      .def("apply_nearly", product(&fem::Operator::apply_nearly), "u"_a,
+           "The product as smoothers have it, in single precision where there is such a form.")
       .def("diagonal", [](fem::Operator const& a) { return computed([&] { return a.diagonal(); }); })
       .def("entries",
            [](fem::Operator const& a) {

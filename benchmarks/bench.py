@@ -31,6 +31,7 @@ from measuring import BACKEND, BACKENDS, ROOT, Record, launch, share_of_core, wr
 
 HERE = Path(__file__).parent
 MEMORY_CASES = ("static 128", "bunch 64")
+QUIET = 0.9  # of a core, below which a run is reported as disturbed
 
 
 @dataclass(frozen=True)
@@ -73,10 +74,6 @@ def parts(backend: str, quick: bool, runs: int) -> list[Part]:
         *(Part("points", "points.py", ranks, (*repeats_of_gamma, *small)) for ranks in (1, 2)),
         Part("agreement", "agreement.py", 1, small),
     ]
-
-
-QUIET = 0.9  # of a core, below which a run is reported as disturbed
-NAMES = tuple(dict.fromkeys(part.name for part in parts("", False, 1)))
 
 
 def measure(chosen: Sequence[Part]) -> tuple[list[Record], list[str]]:
@@ -123,17 +120,18 @@ def instructions() -> str:
 
 
 def main() -> int:
+    names = tuple(dict.fromkeys(part.name for part in parts("", False, 1)))
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="few of the cases: under 2 minutes")
     parser.add_argument("--backend", default=BACKEND, choices=BACKENDS, help="how the operators are executed")
     parser.add_argument("--runs", type=int, default=5, help="runs of each measurement; it reports medians")
-    parser.add_argument("--only", nargs="+", choices=NAMES, default=NAMES, help="parts to run")
+    parser.add_argument("--only", nargs="+", choices=names, default=names, help="parts to run")
     parser.add_argument(
         "--output", type=Path, default=ROOT / "runs" / "bench", help="folder of the JSON and the charts"
     )
     parser.add_argument("--publish", action="store_true", help="write docs/reports/performance.md, after a whole run")
     given = parser.parse_args()
-    if given.publish and (given.quick or len(given.only) < len(NAMES)):
+    if given.publish and (given.quick or len(given.only) < len(names)):
         parser.error("only a whole run is published; leave out --quick and --only")
     given.output.mkdir(parents=True, exist_ok=True)
     about = {"machine": machine(), "quick": given.quick, "backend": given.backend, "runs": given.runs}

@@ -60,7 +60,7 @@ def first_step(block: Block) -> Step:
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "step.npz"
         subprocess.run(
-            [sys.executable, __file__, json.dumps(asdict(block)), str(out)],
+            [sys.executable, __file__, json.dumps(asdict(block)), str(out), "--not-using-mpi"],  # it reads that
             cwd=folder,
             env={**os.environ, "OMP_NUM_THREADS": "1"},
             stdout=subprocess.DEVNULL,

@@ -10,7 +10,7 @@ from ..errors import InputError, SolverError
 FACTORS = (1.5, 1.0, 0.75, 0.5)  # of lengths of steps: few, so that rounding does not change them
 NEAR = 0.75  # part of what damage may grow by in a step, at which the next one is aimed
 AT_FIRST = 0.25  # part of damage_step in the first step: there the mean of the forces at its ends understates work
-MOST_HALVINGS = 4  # of the first length, for the sake of damage: a crack that runs through at once does so in any step
+LEAST = 1 / 16  # of the first length, for the sake of damage: a crack that runs through at once does so in any step
 
 
 @dataclass(frozen=True)
@@ -18,13 +18,15 @@ class Loads:
     """How far a load has come on, and how large its next step is: 1/`steps` of it, less after steps that failed.
 
     A step goes from `begin` to `end`, parts of the load; `taken` and `cut` return what follows if it succeeds, and if not. The
-    damage of a point may grow by `damage_step` in a step, unless it is one of the shortest that are cut for that.
+    damage of a point may grow by `damage_step` in a step, unless it is one of the shortest that are cut for that: `breaking`,
+    or a sixteenth of 1/`steps` if that is 0, and no less than `smallest`.
     """
 
     steps: int
     smallest: float = 1e-3
     easy: int = 4
     damage_step: float = math.inf
+    breaking: float = 0.0
     begin: float = 0.0
     length: float | None = None
     refused: tuple[tuple[float, float], ...] = ()  # since the last step that was taken
@@ -57,7 +59,7 @@ class Loads:
 
     @property
     def _shortest(self) -> float:
-        return 1 / self.steps / 2**MOST_HALVINGS
+        return max(self.breaking or LEAST / self.steps, self.smallest)
 
     def taken(self, iterations: int, growth: float = 0.0) -> Loads:
         """Return what follows the step: one half as long again after few iterations, up to the first length.

@@ -88,8 +88,14 @@ class LoadSection(Section):
         gt=0,
         le=1,
         description="The damage of a point may grow by so much in a step, by a quarter of it in the first; lengths of steps "
-        "follow. Those down to a sixteenth of 1/steps may break more: a crack that runs through at once does so in any step. "
-        "1: as much as will.",
+        "follow, but those of `breaking`. 1: as much as will.",
+    )
+    breaking: float | None = Field(
+        default=None,
+        gt=0,
+        lt=1,
+        description="The part of the load below which no step is cut for the sake of damage_step, if not a sixteenth of "
+        "1/steps: a crack that runs through at once does so in any step.",
     )
 
     @property
@@ -100,7 +106,7 @@ class LoadSection(Section):
     def loads(self, begin: float = 0.0, length: float | None = None) -> Loads:
         """Return the load from where it is, with the length of the next step if it is not the first one."""
         damage_step = self.damage_step if self.damage_step < 1 else math.inf
-        return Loads(self.steps, self.smallest, self.easy, damage_step, begin, length)
+        return Loads(self.steps, self.smallest, self.easy, damage_step, self.breaking or 0.0, begin, length)
 
 
 class SolveSection(Section):

@@ -81,6 +81,7 @@ SCENES = {
         "phase space after 60 periods of the focusing",
     ),
     "press": Shown("A press", plot("--quantity", "material", "--axis", "y"), "grains, binder and voids after it"),
+    "press_fine": Shown("A finer press", plot("--quantity", "damage", "--axis", "y"), "damage after it"),
     "sinker": Shown("A ball that sinks", plot("--quantity", "pressure", "--axis", "y"), "the pressure around it"),
     "crack": Shown("A crack", plot("--quantity", "damage", "--axis", "y"), "damage, from the notch through the bar"),
     "column": Shown(

@@ -15,6 +15,7 @@ from mpi4py import MPI
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 import bases
+import bench
 import builds
 import cases
 import charts
@@ -39,6 +40,15 @@ from amrpic.verify.errors import errors
 
 BENCHMARKS = Path(measuring.__file__).parent
 WORLD = MPI.COMM_SELF
+
+
+# ---- all of it ----
+
+
+@pytest.mark.parametrize("quick", [False, True])
+def test_every_part_runs_a_script_that_there_is(quick):
+    scripts = [BENCHMARKS / part.script for part in bench.parts("matrix-free", quick, 1)]
+    assert len(scripts) > 10 and all(script.is_file() for script in scripts)
 
 
 # ---- the work unit ----

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -153,6 +154,14 @@ def test_lengths_of_steps_follow_what_breaks_and_a_crack_at_once_is_one_step():
     assert after.begin == loads.length == after.length  # no shorter for what broke
     assert after.most_growth == np.inf
     assert after.taken(2, growth=0.01).length == pytest.approx(1.5 * after.length)
+
+
+@pytest.mark.parametrize("limits", [{"breaking": 0.03}, {"smallest": 0.03}])
+def test_the_shortest_steps_that_break_are_as_long_as_asked_for(limits):
+    loads = mpm.Loads(steps=10, damage_step=0.2, begin=0.5, **limits)
+    assert loads.most_growth == 0.2
+    assert replace(loads, length=0.04).most_growth == np.inf
+    assert replace(loads, length=0.04).taken(9, growth=1.0).length == pytest.approx(0.03)
 
 
 def test_a_step_that_breaks_too_much_is_left_at_its_first_turns():

@@ -59,8 +59,9 @@ def first_step(block: Block) -> Step:
     """Return what Kratos makes of a block in one step."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "step.npz"
+        # Kratos reads the last option itself: it would take the launcher's variables for an MPI run of its own.
         subprocess.run(
-            [sys.executable, __file__, json.dumps(asdict(block)), str(out), "--not-using-mpi"],  # it reads that
+            [sys.executable, __file__, json.dumps(asdict(block)), str(out), "--not-using-mpi"],
             cwd=folder,
             env={**os.environ, "OMP_NUM_THREADS": "1"},
             stdout=subprocess.DEVNULL,

@@ -19,14 +19,14 @@ class Loads:
 
     A step goes from `begin` to `end`, parts of the load; `taken` and `cut` return what follows if it succeeds, and if not. The
     damage of a point may grow by `damage_step` in a step, unless it is one of the shortest that are cut for that: `breaking`,
-    or a sixteenth of 1/`steps` if that is 0, and no less than `smallest`.
+    or a sixteenth of 1/`steps` without it, and no less than `smallest`.
     """
 
     steps: int
     smallest: float = 1e-3
     easy: int = 4
     damage_step: float = math.inf
-    breaking: float = 0.0
+    breaking: float | None = None
     begin: float = 0.0
     length: float | None = None
     refused: tuple[tuple[float, float], ...] = ()  # since the last step that was taken

@@ -87,15 +87,15 @@ class LoadSection(Section):
         default=0.1,
         gt=0,
         le=1,
-        description="The damage of a point may grow by so much in a step, by a quarter of it in the first; lengths of steps "
-        "follow, but those of `breaking`. 1: as much as will.",
+        description="The damage of a point may grow by so much in a step, by a quarter of it in the first; a step in which it "
+        "grows by more is cut, down to `breaking`. 1: as much as will.",
     )
     breaking: float | None = Field(
         default=None,
         gt=0,
         lt=1,
-        description="The part of the load below which no step is cut for the sake of damage_step, if not a sixteenth of "
-        "1/steps: a crack that runs through at once does so in any step.",
+        description="The least part of the load to which a step is cut because of `damage_step`; by default a sixteenth of "
+        "1/steps. Shorter steps do not help against a crack that runs through at once.",
     )
 
     @property
@@ -106,7 +106,7 @@ class LoadSection(Section):
     def loads(self, begin: float = 0.0, length: float | None = None) -> Loads:
         """Return the load from where it is, with the length of the next step if it is not the first one."""
         damage_step = self.damage_step if self.damage_step < 1 else math.inf
-        return Loads(self.steps, self.smallest, self.easy, damage_step, self.breaking or 0.0, begin, length)
+        return Loads(self.steps, self.smallest, self.easy, damage_step, self.breaking, begin, length)
 
 
 class SolveSection(Section):

@@ -148,7 +148,8 @@ void Compensator::add_to_plane(int k, Tile<per_cell>& tile) {
   add(k, tile);
 }
 
-// In this file, which is compiled without fused multiply-adds: a cell rounds alike wherever it lies in a box.
+// In this file, which is compiled without fused multiply-adds, so that a cell's value does not depend on where in a box
+// the cell lies.
 void Compensator::write_row(DifferenceRow const& phi, std::ptrdiff_t row, std::ptrdiff_t y, std::ptrdiff_t z, int count,
                             Real* out) const {
   DifferenceRow const rho{own() + row, compensation_.factor[std::size_t(level_)]};

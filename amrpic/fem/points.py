@@ -21,8 +21,9 @@ HIGHEST_DEGREE = 63  # that any weights are exact to: of Gauss's rule with the m
 class Points:
     """This rank's integration points: those of its elements, sorted by element. Made by `fem.jittered` and the like.
 
-    Arrays have an entry for each point: `element` (n,) its place in `mesh.elements`, `number` (n,) that of the point among
-    those of all ranks. `volume` and `weight` (n,) in m³, `reference`, `position` (n, 3) are made when they are asked for.
+    Arrays have an entry for each point: `number` (n,) is that of the point among those of all ranks; `element` (n,), its place
+    in `mesh.elements`, `volume` and `weight` (n,) in m³, `reference`, `position` (n, 3) are made when they are asked for.
+    `held` (elements,): how many points elements have.
 
     `exact_to` (elements,) is the highest m to which an element's weights integrate all products x^i y^j z^k, i, j, k ≤ m,
     exactly; -1 where the weights are the volumes: because they are to be, or because it has no points or is not full. `rough`:
@@ -44,7 +45,7 @@ class Points:
         rough: np.ndarray | None = None,
     ) -> None:
         self.mesh = mesh
-        self.element = np.ascontiguousarray(element, dtype=np.int32)
+        self.held = np.bincount(element, minlength=len(mesh.elements))
         self._volume, self.number = volume, number
         self.exact_to = np.full(len(mesh.elements), 2 * gauss - 1 if gauss else -1, dtype=np.int32)
         places = np.ascontiguousarray(reference, dtype=np.float64)
@@ -53,20 +54,28 @@ class Points:
             if weights == "moments" and not gauss:
                 weight = self._fit(places, weight, np.zeros(len(mesh.elements), dtype=bool) if rough is None else rough)
         self.native = _native.FemPoints(
-            mesh.native, self.element, places, np.ascontiguousarray(weight), gauss == mesh.degree + 1
+            mesh.native,
+            np.ascontiguousarray(element, dtype=np.int32),
+            places,
+            np.ascontiguousarray(weight),
+            gauss == mesh.degree + 1,
         )
 
     def _fit(self, places: np.ndarray, volume: np.ndarray, rough: np.ndarray) -> np.ndarray:
         """The weights of points: in elements that are not rough, those exact to the highest degree there is."""
-        counts = np.bincount(self.element, minlength=len(rough))
-        first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+        first = np.concatenate([[0], np.cumsum(self.held)]).astype(np.int64)
         weight, self.exact_to = _native.fem_fit_moments(
             first, places, volume, rough, self.mesh.element_volume, 2 * self.mesh.degree - 1
         )
         return weight
 
     def __len__(self) -> int:
-        return len(self.element)
+        return len(self.number)
+
+    @property
+    def element(self) -> np.ndarray:
+        """Elements of the points, (n,) int32, ascending."""
+        return np.repeat(np.arange(len(self.held), dtype=np.int32), self.held)
 
     @property
     def volume(self) -> np.ndarray:

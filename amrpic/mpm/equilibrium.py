@@ -108,6 +108,7 @@ def equilibrium(
             reason = "no part of a step leaves det F positive and lowers the residual or the potential"
             break
         u, state, length = found
+        del found, step
         if moving and length == 1:
             u[held] = target[held]
         lengths.append(length)

@@ -60,10 +60,11 @@ def require_inside(columns: Columns, mesh: Mesh, load: float) -> None:
     """
     lower, upper = np.array(mesh.domain.lower), np.array(mesh.domain.upper)
     given, j = columns["position"], determinants(columns["deformation"])
-    place = np.clip(given, lower, upper)
+    place = np.empty_like(given)
     far = AT_FACE * float((upper - lower).max())
     out = np.zeros(len(given), dtype=bool)
     for d in range(3):
+        np.clip(given[:, d], lower[d], upper[d], out=place[:, d])
         out |= ~(np.abs(given[:, d] - place[:, d]) <= far)
     bad = np.flatnonzero(out | ~(j > 0))
     what = None
@@ -161,10 +162,10 @@ def placed(
     stiffness.
     """
     element, reference = mesh.native.locate(points.position)
-    held = np.bincount(element, minlength=len(mesh.elements))
     rough = _several(element, points.material, len(mesh.elements))
     weighed = Points(mesh, element, reference, lambda: points.volume, points.id, weights, rough=rough)
     volume = np.bincount(element, points.volume, len(mesh.elements))
+    held = weighed.held
     poor = held < enough(mesh.degree)
     if floor_stiffness == 0:
         _require_enough(mesh, held, poor)

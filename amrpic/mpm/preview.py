@@ -62,8 +62,7 @@ def _structure(plan: Plan, state: State) -> list[str]:
 
 def _elements(plan: Plan, state: State) -> list[str]:
     """Return how many points elements have, and to what degree their weights are exact."""
-    placed, comm = state.placed, plan.comm
-    held = np.bincount(placed.weighed.element, minlength=len(placed.mesh.elements))
+    placed, comm, held = state.placed, plan.comm, state.placed.weighed.held
     least, most = comm.allreduce(int(held.min(initial=2**31)), MPI.MIN), int(global_max(comm, held.max(initial=0)))
     exact = ", ".join(
         f"{count} to degree {m}" if m >= 0 else f"{count} not at all" for m, count in placed.weighed.exactness().items()

@@ -33,12 +33,12 @@ def advance(state: State, plan: Plan) -> State:
     while True:
         try:
             settled, report = _equilibrium(state, loads, plan)
-            after = moved(settled.solid, settled.displacement, state.placed.body, points.initial_volume)
-            there, came = put(after.columns(), plan, loads.end)
+            measured, totals = measure(state, loads, settled, report, plan)
+            solid, u, body = settled.solid, settled.displacement, state.placed.body
+            there, came = put(moved(solid, u, body, points.initial_volume).columns(), plan, loads.end)
             break
         except (SolverError, ParticleError) as why:  # a large step may fold the mesh between points: some are outside
             loads, cuts = loads.cut(str(why)), cuts + 1
-    measured, totals = measure(state, loads, settled, report, plan)
     measured |= {"cuts": cuts, "changed_rank": plan.comm.allreduce(came)} | at_rest(there, plan)
     return State(state.step + 1, loads.taken(report.most_iterations, report.growth), there, totals, measured)
 

@@ -30,22 +30,33 @@ nb::ndarray<nb::numpy, int> indices_of(Level const& level) {
   return bind::to_array(std::move(out), {std::size_t(level.local_cells()), 3});
 }
 
-/// The element of a place, which may lie on the domain's upper faces; -1 if another rank has it, or none. `b`: the box
-/// of the last place, where the next one mostly is too.
-LocalIndex element_at(Hierarchy const& hierarchy, Real const* place, Real* reference, int& b) {
-  Domain const& domain = hierarchy.domain();
-  Level const& level = hierarchy.level(0);
-  Index3 cell;
-  for (std::size_t d = 0; d < 3; ++d) {
-    Real const at = (place[d] - domain.lower[d]) * (1 / domain.spacing(d));  // rounded as where points migrate
-    if (!(place[d] >= domain.lower[d] && place[d] <= domain.upper[d])) return -1;
-    cell[d] = std::min(int(std::floor(at)), domain.cells[d] - 1);
-    reference[d] = 2 * (at - cell[d]) - 1;
+/// Finds the elements of places.
+class ElementFinder {
+ public:
+  explicit ElementFinder(Hierarchy const& hierarchy) : domain_(hierarchy.domain()), level_(hierarchy.level(0)) {
+    for (std::size_t d = 0; d < 3; ++d) per_length_[d] = 1 / domain_.spacing(d);  // rounded as where points migrate
   }
-  if (!level.box(b).contains(cell)) b = level.find(cell);
-  if (level.owner(b) != level.rank()) return -1;
-  return level.local_offset(b) + LocalIndex(level.box(b).offset(cell));
-}
+
+  /// The element of a place, which may lie on the domain's upper faces; -1 if another rank has it, or none.
+  LocalIndex operator()(Real const* place, Real* reference) {
+    Index3 cell;
+    for (std::size_t d = 0; d < 3; ++d) {
+      if (!(place[d] >= domain_.lower[d] && place[d] <= domain_.upper[d])) return -1;
+      Real const at = (place[d] - domain_.lower[d]) * per_length_[d];
+      cell[d] = std::min(int(at), domain_.cells[d] - 1);
+      reference[d] = 2 * (at - cell[d]) - 1;
+    }
+    if (!level_.box(box_).contains(cell)) box_ = level_.find(cell);
+    if (level_.owner(box_) != level_.rank()) return -1;
+    return level_.local_offset(box_) + LocalIndex(level_.box(box_).offset(cell));
+  }
+
+ private:
+  Domain const& domain_;
+  Level const& level_;
+  Real3 per_length_;
+  int box_ = 0;  ///< of the last place, where the next one mostly is too
+};
 
 /// 1 where unknowns are free, 0 where they are fixed.
 std::vector<Real> free_of(Flags const& fixed) {
@@ -109,9 +120,9 @@ void bind_fem(nb::module_& m) {
           [](fem::Lattice const& l, bind::RealRows places) {
             std::vector<LocalIndex> element(places.shape(0));
             std::vector<Real> reference(places.size());
-            int box = 0;
+            ElementFinder find(l.hierarchy());
             for (std::size_t p = 0; p < places.shape(0); ++p)
-              element[p] = element_at(l.hierarchy(), places.data() + 3 * p, &reference[3 * p], box);
+              element[p] = find(places.data() + 3 * p, &reference[3 * p]);
             return nb::make_tuple(bind::to_array(std::move(element)),
                                   bind::to_array(std::move(reference), {places.shape(0), 3}));
           },

@@ -119,35 +119,29 @@ NodeBlocks node_blocks(Operator const& a, std::vector<Real> free) {
   Lattice const& lattice = a.points().lattice();
   int const components = a.components();
   NodeBlocks out{lattice.share_nodes(), components, std::move(free), {}};
-  std::size_t const width = out.width();
   NodeRegions const& regions = lattice.regions();
-  std::vector<Real> halo(regions.halo_size() * width, 0), dense;
-  out.value.assign(std::size_t(lattice.own_nodes()) * width, 0);
+  std::size_t const width = out.width(), own = std::size_t(lattice.own_nodes()) * width;
+  out.value.assign(own + regions.halo_size() * width, 0);
+  std::vector<LocalIndex> places;
   std::size_t part = lattice.parts().size();
-  auto const add = [&] {
-    if (part < lattice.parts().size()) regions.add(part, int(width), dense.data(), out.value.data(), halo.data());
-  };
   a.for_each_element_matrix([&](std::size_t p, LocalIndex corner, std::vector<Real> const& matrix) {
     Box const& nodes = lattice.parts()[p].nodes;
-    if (p != part) {
-      add();
-      dense.assign(std::size_t(nodes.cells()) * width, 0);
-      part = p;
-    }
+    if (p != part) places = regions.places(p), part = p;
     for (int i = 0; i < 8; ++i) {
       Index3 const at{i & 1, i >> 1 & 1, i >> 2};
-      std::size_t const node = std::size_t(corner + at[0] + at[1] * nodes.stride(1) + at[2] * nodes.stride(2));
+      auto const node = std::size_t(corner + at[0] + at[1] * nodes.stride(1) + at[2] * nodes.stride(2));
+      Real* const blocks = &out.value[std::size_t(places[node]) * width];
       for (int j = 0; j < 8; ++j) {
         int const n = neighbour(difference({j & 1, j >> 1 & 1, j >> 2}, at));
         for (int r = 0; r < components; ++r)
           for (int c = 0; c < components; ++c)
-            dense[node * width + std::size_t((n * components + r) * components + c)] +=
+            blocks[std::size_t((n * components + r) * components + c)] +=
                 matrix[std::size_t((r * 8 + i) * 8 * components + c * 8 + j)];
       }
     }
   });
-  add();
-  regions.fold(int(width), out.value.data(), halo.data());
+  regions.fold(int(width), out.value.data(), out.value.data() + own);
+  out.value.resize(own);
   mask(lattice.comm(), out);
   return out;
 }
@@ -269,6 +263,7 @@ void Halving::transposed(int components, Real const* fine, Real* coarse) const {
 BlockRows::BlockRows(Communicator const& comm, NodeBlocks blocks)
     : nodes_(blocks.nodes), components_(blocks.components), around_(around(comm, *nodes_)) {
   std::size_t const width = blocks.width(), c = std::size_t(components_);
+  diagonal_.reserve(blocks.free.size());
   Real largest = std::numeric_limits<Real>::min();
   for (std::size_t node = 0; node < std::size_t(nodes_->local_cells()); ++node)
     for (std::size_t r = 0; r < c; ++r) {
@@ -276,11 +271,14 @@ BlockRows::BlockRows(Communicator const& comm, NodeBlocks blocks)
       largest = std::max(largest, diagonal_.back());
     }
   scale_ = std::exp2(std::ilogb(largest));
-  Real const* entry = blocks.value.data();
   std::size_t groups = 0;
   for (int b = nodes_->first_local_box(); b < nodes_->last_local_box(); ++b)
+    for_each_plane(nodes_->box(b), [&](Box const&, Box const&, std::ptrdiff_t, std::size_t count) { groups += count; });
+  by_group_.assign(groups * width * native_lane_count, 0);
+  Real const* entry = blocks.value.data();
+  groups = 0;
+  for (int b = nodes_->first_local_box(); b < nodes_->last_local_box(); ++b)
     for_each_plane(nodes_->box(b), [&](Box const& plane, Box const& whole, std::ptrdiff_t first, std::size_t count) {
-      by_group_.resize((groups + count) * width * native_lane_count, 0);
       for_each_cell(plane, [&](Index3 const& at) {
         std::size_t const n = std::size_t(whole.offset(at) - first), lane = n % native_lane_count;
         float* const out = &by_group_[(groups + n / native_lane_count) * width * native_lane_count + lane];

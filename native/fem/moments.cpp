@@ -11,8 +11,7 @@
 #include <optional>
 #include <utility>
 
-#include "base/large_array.hpp"
-#include "base/native_lanes.hpp"
+#include "fem/dense_systems.hpp"
 
 namespace amrpic::fem {
 
@@ -21,97 +20,29 @@ namespace {
 constexpr Real exactly = 1e-13;  ///< error of a moment that counts as none; moments of order 1
 constexpr int most_steps = 60;
 
-using Array = LargeArray<Real>;
-
-/// Of numbers that fill whole vectors.
-Real dot(Real const* a, Real const* b, std::size_t count) {
-  NativeLanes sums{};
-  for (std::size_t n = 0; n < count; n += native_lane_count)
-    sums += load<NativeLanes>(a + n) * load<NativeLanes>(b + n);
-  Real out = 0;
-  for (int l = 0; l < native_lane_count; ++l) out += sums[l];
-  return out;
-}
-
-constexpr std::size_t tile = native_lane_count;
-
-/// Products of so many rows with another one, which is read once for all.
-NativeLanes dots(Real const* rows, Real const* b, std::size_t count) {
-  NativeLanes sums[tile] = {};
+/// The largest of numbers that are positive, or zero.
+Real largest_or_zero(Real const* a, std::size_t count) {
+  NativeLanes out{};
   for (std::size_t n = 0; n < count; n += native_lane_count) {
-    auto const other = load<NativeLanes>(b + n);
-    for (std::size_t r = 0; r < tile; ++r) sums[r] += load<NativeLanes>(rows + r * count + n) * other;
+    auto const here = load<NativeLanes>(a + n);
+    out = here > out ? here : out;
   }
-  return sums_of_lanes(sums);
+  return *std::max_element(&out[0], &out[0] + native_lane_count);
 }
 
-/// The least whole vectors that hold so many numbers.
-std::size_t padded(std::size_t count) { return (count + tile - 1) / tile * tile; }
-
-/// Square roots of positive definite matrices U'U. Rows, as many as a multiple of a tile, and vectors fill whole
-/// vectors of the processor, up with zeros.
-class Cholesky {
- public:
-  /// Of the upper triangle of `matrix`, which it overwrites; `shift` is added to its diagonal.
-  Cholesky(Array& matrix, std::size_t size, Real shift) : u_(matrix.data()), size_(size), stride_(padded(size)) {
-    for (std::size_t first = 0; first < size; first += tile) {
-      for (std::size_t n = first; n < stride_; n += tile) subtract_rows_before(first, n);
-      for (std::size_t k = first; k < std::min(first + tile, size); ++k) {
-        Real* const of_pivot = row(k);
-        std::fill(of_pivot + first, of_pivot + k, Real(0));
-        Real const pivot = of_pivot[k] + shift;
-        smallest_pivot_ = std::min(smallest_pivot_, pivot);
-        of_pivot[k] = std::sqrt(std::max(pivot, shift));
-        Real const by = 1 / of_pivot[k];
-        for (std::size_t j = k + 1; j < size; ++j) of_pivot[j] *= by;
-        for (std::size_t i = k + 1; i < std::min(first + tile, size); ++i) subtract(row(i), of_pivot[i], of_pivot, i);
-      }
-    }
-  }
-  Real smallest_pivot() const { return smallest_pivot_; }
-
-  void solve(std::vector<Real>& b) const {
-    for (std::size_t i = 0; i < size_; ++i) {
-      Real const own = b[i] / row(i)[i];
-      subtract(b.data(), own, row(i), i);
-      b[i] = own;
-    }
-    for (std::size_t i = size_; i-- > 0;) {
-      Real const own = std::exchange(b[i], 0);
-      std::size_t const from = i / tile * tile;
-      b[i] = (own - dot(row(i) + from, b.data() + from, stride_ - from)) / row(i)[i];
-    }
-  }
-
- private:
-  /// a -= by b, from `first` on, and from up to a vector before.
-  void subtract(Real* a, Real by, Real const* b, std::size_t first) const {
-    for (std::size_t n = first / tile * tile; n < stride_; n += tile)
-      store(a + n, load<NativeLanes>(a + n) - by * load<NativeLanes>(b + n));
-  }
-  /// From a tile of rows, in the columns of one vector, what all rows before have to do with it.
-  void subtract_rows_before(std::size_t first, std::size_t column) const {
-    NativeLanes left[tile];
-    for (std::size_t r = 0; r < tile; ++r) left[r] = load<NativeLanes>(row(first + r) + column);
-    for (std::size_t k = 0; k < first; ++k) {
-      auto const there = load<NativeLanes>(row(k) + column);
-      for (std::size_t r = 0; r < tile; ++r) left[r] -= row(k)[first + r] * there;
-    }
-    for (std::size_t r = 0; r < tile; ++r) store(row(first + r) + column, left[r]);
-  }
-  Real* row(std::size_t i) const { return u_ + i * stride_; }
-
-  Real* u_;
-  std::size_t size_, stride_;
-  Real smallest_pivot_ = 1e300;
-};
+constexpr int most_rows = 16;
 
 /// Legendre's polynomials at points x, with mean square 1.
 void legendre_rows(NativeLanes const& x, int highest, NativeLanes* out) {
+  static auto const sizes = [] {
+    std::array<Real, most_rows> roots;
+    for (int n = 0; n < most_rows; ++n) roots[std::size_t(n)] = std::sqrt(Real(2 * n + 1));
+    return roots;
+  }();
   NativeLanes before{}, here = before + Real(1);
   for (int n = 0; n <= highest; ++n) {
-    out[n] = here * std::sqrt(Real(2 * n + 1));
-    NativeLanes const next = (Real(2 * n + 1) * x * here - Real(n) * before) / Real(n + 1);
+    out[n] = here * sizes[std::size_t(n)];
+    NativeLanes const next = Real(2 * n + 1) / Real(n + 1) * x * here - Real(n) / Real(n + 1) * before;
     before = here, here = next;
   }
 }
@@ -128,7 +59,7 @@ class Fit {
         rows_(padded(moments_)) {
     a_.resize(rows_ * points_);
     std::fill(a_.begin() + std::ptrdiff_t(moments_ * points_), a_.end(), Real(0));
-    NativeLanes rows[3][16];
+    NativeLanes rows[3][most_rows];
     for (std::size_t p = 0; p < count; p += tile) {
       NativeLanes place[3] = {}, one{};  // 1 where there is a point
       for (std::size_t l = 0; l < std::min(tile, count - p); ++l) {
@@ -138,13 +69,16 @@ class Fit {
       for (std::size_t d = 0; d < 3; ++d) legendre_rows(place[d], degree, rows[d]);
       std::size_t m = 0;
       for (int k = 0; k <= degree; ++k)
-        for (int j = 0; j <= degree; ++j)
-          for (int i = 0; i <= degree; ++i) store(&a_[m++ * points_ + p], one * rows[0][i] * rows[1][j] * rows[2][k]);
+        for (int j = 0; j <= degree; ++j) {
+          auto const other = one * rows[1][j] * rows[2][k];
+          for (int i = 0; i <= degree; ++i) store(&a_[m++ * points_ + p], other * rows[0][i]);
+        }
     }
   }
 
   /// Whether there are such weights: then `weight` holds them.
   bool find(std::vector<Real>& weight) {
+    if (count_ == moments_ && only_ones_are_negative()) return false;
     slope_.assign(points_, 0);
     lambda_.assign(rows_, 0);
     set_weights();
@@ -157,11 +91,8 @@ class Fit {
         return true;
       }
       auto direction = residual;
-      bool const determined = newton(direction);
+      newton(direction);
       auto const change = at_points(direction);
-      if (step == 0 && count_ <= moments_) {  // then no other weights are exact but these, if any
-        if (determined && below_least(change)) return false;
-      }
       if (is_impossible(direction, change) || is_impossible(lambda_, slope_)) return false;
       if (!advance(direction, change, residual)) return false;
     }
@@ -170,6 +101,16 @@ class Fit {
 
  private:
   Real const* row(std::size_t m) const { return a_.data() + m * points_; }
+
+  /// Of as many points as moments, whether the only weights that are exact are clearly below zero.
+  bool only_ones_are_negative() const {
+    constexpr float clearly = 0.01f;
+    std::vector<Real> b(moments_, 0);
+    b[0] = 1;
+    auto const weights = solution_in_floats(a_.data(), b);
+    auto const [least, most] = std::minmax_element(weights.begin(), weights.end());
+    return !weights.empty() && *least < -clearly * *most;
+  }
 
   void set_weights() {
     weight_.resize(points_);
@@ -184,38 +125,54 @@ class Fit {
     return out;
   }
 
-  /// The step to where the present parabola is least, in place of the residual. Whether all moments are independent
-  /// there.
-  bool newton(std::vector<Real>& residual) {
-    constexpr Real shift = 1e-12, independent = 1e-9;
+  /// The step to where the present parabola is least, in place of the residual.
+  void newton(std::vector<Real>& residual) {
+    constexpr Real shift = 1e-12;
     std::vector<Real> above(points_);
     for (std::size_t p = 0; p < points_; ++p) above[p] = 1 + slope_[p] > least_weight ? volume_[p] : Real(0);
     if (!root_ || above != above_) {
+      find_second_derivatives(above);
       above_ = std::move(above);
+      of_root_ = h_;
+      root_.emplace(of_root_, moments_, shift);
+    }
+    root_->solve(residual);
+  }
+
+  /// The upper triangle of h_, and a little more, of points of these volumes: from what it was, where few have others.
+  void find_second_derivatives(std::vector<Real> const& above) {
+    std::vector<std::size_t> others;
+    for (std::size_t p = 0; root_ && p < points_; ++p)
+      if (above[p] != above_[p]) others.push_back(p);
+    if (!root_ || tile * others.size() > points_) {
       h_.assign(rows_ * rows_, 0);
       std::vector<Real> scaled(points_);
       for (std::size_t i = 0; i < moments_; ++i) {
-        for (std::size_t p = 0; p < points_; ++p) scaled[p] = above_[p] * row(i)[p];
-        for (std::size_t j = i / tile * tile; j < moments_; j += tile)  // the upper triangle, and a little more
+        for (std::size_t p = 0; p < points_; ++p) scaled[p] = above[p] * row(i)[p];
+        for (std::size_t j = i / tile * tile; j < moments_; j += tile)
           store(&h_[i * rows_ + j], dots(row(j), scaled.data(), points_));
       }
-      root_.emplace(h_, moments_, shift);
+      return;
     }
-    root_->solve(residual);
-    return root_->smallest_pivot() > independent;
+    std::vector<Real> here(rows_);
+    for (std::size_t const p : others) {
+      for (std::size_t m = 0; m < moments_; ++m) here[m] = row(m)[p];
+      for (std::size_t i = 0; i < moments_; ++i) {
+        Real const by = (above[p] - above_[p]) * here[i];
+        for (std::size_t j = i / tile * tile; j < rows_; j += tile)
+          store(&h_[i * rows_ + j], load<NativeLanes>(&h_[i * rows_ + j]) + by * load<NativeLanes>(&here[j]));
+      }
+    }
   }
 
   std::vector<Real> at_points(std::vector<Real> const& polynomial) const {
-    std::vector<Real> out(points_, 0);
-    for (std::size_t m = 0; m < moments_; ++m) {
-      Real const by = polynomial[m];
-      for (std::size_t p = 0; p < points_; ++p) out[p] += by * row(m)[p];
+    std::vector<Real> out(points_);
+    for (std::size_t p = 0; p < points_; p += tile) {
+      NativeLanes here{};
+      for (std::size_t m = 0; m < moments_; ++m) here += polynomial[m] * load<NativeLanes>(row(m) + p);
+      store(&out[p], here);
     }
     return out;
-  }
-
-  static bool below_least(std::vector<Real> const& change) {
-    return std::any_of(change.begin(), change.end(), [](Real c) { return 1 + c < least_weight - 1e-9; });
   }
 
   /// Whether minus this polynomial, of these values at points, plus what makes it positive there, shows that there are
@@ -223,22 +180,22 @@ class Fit {
   bool is_impossible(std::vector<Real> const& polynomial, std::vector<Real> const& values) const {
     Real const size = std::sqrt(dot(polynomial.data(), polynomial.data(), rows_));
     if (size == 0) return false;
-    Real const lift = std::max(Real(0), *std::max_element(values.begin(), values.end()));
-    Real least_sum = 0;
-    for (std::size_t p = 0; p < points_; ++p) {
-      least_sum += least_weight * volume_[p] * (lift - values[p]);
-    }
+    Real const lift = largest_or_zero(values.data(), points_);
+    Real const least_sum = sum(points_, [&](std::size_t p) {
+      return least_weight * load<NativeLanes>(&volume_[p]) * (lift - load<NativeLanes>(&values[p]));
+    });
     return lift - polynomial[0] - least_sum < -1e-10 * size;
   }
 
   /// F at the present λ plus a step, without what does not change.
   Real objective(std::vector<Real> const& change, Real step, Real along_b) const {
-    Real out = -step * along_b;
-    for (std::size_t p = 0; p < points_; ++p) {
-      Real const t = 1 + slope_[p] + step * change[p];
-      out += volume_[p] * (t > least_weight ? t * t / 2 : least_weight * t - least_weight * least_weight / 2);
-    }
-    return out;
+    return sum(points_,
+               [&](std::size_t p) {
+                 auto const t = 1 + load<NativeLanes>(&slope_[p]) + step * load<NativeLanes>(&change[p]);
+                 auto const psi = t > least_weight ? t * t / 2 : least_weight * t - least_weight * least_weight / 2;
+                 return load<NativeLanes>(&volume_[p]) * psi;
+               }) -
+           step * along_b;
   }
 
   /// λ goes along a direction, a `change` at points, as far as F falls as it should. Whether it could.
@@ -258,7 +215,7 @@ class Fit {
   std::size_t count_, points_;
   std::vector<Real> const& volume_;  ///< in parts of the element's
   std::size_t moments_, rows_;
-  Array a_, h_;                                ///< each moment's polynomial at points; second derivatives of F
+  Array a_, h_, of_root_;                      ///< each moment's polynomial at points; second derivatives of F
   std::vector<Real> above_;                    ///< those are of the volumes of points above their least weights
   std::optional<Cholesky> root_;               ///< of h_
   std::vector<Real> slope_, lambda_, weight_;  ///< A'λ at points

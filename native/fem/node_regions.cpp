@@ -1,6 +1,7 @@
 #include "fem/node_regions.hpp"
 
 #include <algorithm>
+#include <numeric>
 
 namespace amrpic::fem {
 
@@ -37,6 +38,13 @@ std::vector<NodeRegions::Run> NodeRegions::runs_of(std::vector<LocalIndex> const
     else
       out.push_back({places[n], LocalIndex(n), 1});
   }
+  return out;
+}
+
+std::vector<LocalIndex> NodeRegions::places(std::size_t part) const {
+  std::vector<LocalIndex> out(std::size_t(parts_[part].region.cells()));
+  for (Run const& run : parts_[part].runs)
+    std::iota(out.begin() + run.offset, out.begin() + run.offset + run.count, run.place);
   return out;
 }
 

@@ -22,6 +22,9 @@ class NodeRegions {
   Box const& region(std::size_t part) const { return parts_[part].region; }
   std::size_t halo_size() const { return std::size_t(halo_.size()); }
 
+  /// Where a part's nodes, x fastest, are in [own | halo].
+  std::vector<LocalIndex> places(std::size_t part) const;
+
   /// The values of a part's nodes, x fastest, from [own | halo]; and the same added to those.
   void read(std::size_t part, int components, Real const* own, Real const* halo, Real* dense) const;
   void add(std::size_t part, int components, Real const* dense, Real* own, Real* halo) const;

@@ -74,17 +74,19 @@ Chebyshev::Chebyshev(Communicator const& comm, Apply apply, Apply precondition, 
   largest_ = diagonal.empty() ? 1 : largest_of_tridiagonal(diagonal, beside);
 }
 
+std::vector<Real>& Chebyshev::residual(std::vector<Real> const& b, std::vector<Real> const& x) {
+  apply_(x, residual_);
+  for (std::size_t i = 0; i < x.size(); ++i) residual_[i] = b[i] - residual_[i];
+  return residual_;
+}
+
 void Chebyshev::smooth(std::vector<Real> const& b, std::vector<Real>& x, bool from_zero) {
   Real const middle = (upper_end + lower_end_) / 2 * largest_, half = (upper_end - lower_end_) / 2 * largest_;
   Real const sigma = middle / half;
   Real rho = 1 / sigma;
   for (int sweep = 0; sweep < sweeps; ++sweep) {
     bool const first = sweep == 0, zero = first && from_zero;
-    if (!zero) {
-      apply_(x, residual_);
-      for (std::size_t i = 0; i < x.size(); ++i) residual_[i] = b[i] - residual_[i];
-    }
-    precondition_(zero ? b : residual_, correction_);
+    precondition_(zero ? b : residual(b, x), correction_);
     Real const next = first ? rho : 1 / (2 * sigma - rho);
     Real const keep = first ? 0 : next * rho, take = first ? 1 / middle : 2 * next / half;
     for (std::size_t i = 0; i < x.size(); ++i) {

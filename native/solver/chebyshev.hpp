@@ -22,6 +22,9 @@ class Chebyshev {
   /// Bring x nearer to the solution of A x = b; `from_zero`: x is zero, whatever it holds. Collective.
   void smooth(std::vector<Real> const& b, std::vector<Real>& x, bool from_zero);
 
+  /// b - A x, to be read or changed until the next call of this. Collective.
+  std::vector<Real>& residual(std::vector<Real> const& b, std::vector<Real> const& x);
+
   /// Take another S from here on, near the one before: the eigenvalue stays.
   void precondition_by(Apply precondition) { precondition_ = std::move(precondition); }
 

@@ -13,10 +13,9 @@ namespace {
 constexpr GlobalIndex most_nodes_of_bottom = 64;
 constexpr Real vanishing = 1e-13;  ///< pivots, in parts of the diagonal
 
-std::vector<Real> inverse_of(std::vector<Real> const& diagonal) {
-  std::vector<Real> out;
-  for (Real value : diagonal) out.push_back(value > 0 ? 1 / value : 0);
-  return out;
+std::vector<Real> inverse_of(std::vector<Real> diagonal) {
+  for (Real& value : diagonal) value = value > 0 ? 1 / value : 0;
+  return diagonal;
 }
 
 void keep_free(std::vector<Real> const& free, std::vector<Real>& v) {
@@ -27,6 +26,7 @@ void keep_free(std::vector<Real> const& free, std::vector<Real>& v) {
 
 std::vector<Real> disordered(Level const& nodes, int components) {
   std::vector<Real> out;
+  out.reserve(std::size_t(nodes.local_cells()) * std::size_t(components));
   for (int b = nodes.first_local_box(); b < nodes.last_local_box(); ++b)
     for_each_cell(nodes.box(b), [&](Index3 const& at) {
       auto const number = std::uint64_t(nodes.domain().offset(at)) * 3;
@@ -93,13 +93,12 @@ NodeLevels::NodeLevels(Communicator const& comm, fem::NodeBlocks blocks) {
     auto const free = blocks.free;
     // The smoother keeps a pointer to the rows, so a level stays where it is made.
     auto level = std::unique_ptr<Level>(
-        new Level{components, free, fem::BlockRows(comm, std::move(blocks)), {}, std::move(halving), {}, {}, {}});
+        new Level{components, free, fem::BlockRows(comm, std::move(blocks)), {}, std::move(halving), {}, {}});
     fem::BlockRows const& kept = level->rows;
     level->smoother = std::make_unique<Chebyshev>(
         comm, [&kept](std::vector<Real> const& u, std::vector<Real>& v) { kept.apply(u.data(), v.data()); },
         by_diagonal(inverse_of(kept.diagonal())), start);
     blocks = std::move(coarse);
-    level->residual.resize(level->free.size());
     level->coarse_r.resize(blocks.free.size()), level->coarse_z.resize(blocks.free.size());
     levels_.push_back(std::move(level));
   }
@@ -110,9 +109,9 @@ void NodeLevels::cycle(std::size_t number, std::vector<Real> const& r, std::vect
   if (number == levels_.size()) return bottom_->solve(r, z);
   Level& level = *levels_[number];
   level.smoother->smooth(r, z, true);
-  level.rows.apply(z.data(), level.residual.data());
-  for (std::size_t i = 0; i < r.size(); ++i) level.residual[i] = level.free[i] * (r[i] - level.residual[i]);
-  level.to_coarser->transposed(level.components, level.residual.data(), level.coarse_r.data());
+  auto& residual = level.smoother->residual(r, z);
+  keep_free(level.free, residual);
+  level.to_coarser->transposed(level.components, residual.data(), level.coarse_r.data());
   cycle(number + 1, level.coarse_r, level.coarse_z);
   level.to_coarser->add(level.components, level.coarse_z.data(), z.data());
   keep_free(level.free, z);

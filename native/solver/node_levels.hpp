@@ -47,7 +47,7 @@ class NodeLevels {
     fem::BlockRows rows;
     std::unique_ptr<Chebyshev> smoother;
     std::unique_ptr<fem::Halving> to_coarser;
-    std::vector<Real> residual, coarse_r, coarse_z;
+    std::vector<Real> coarse_r, coarse_z;
   };
   void cycle(std::size_t level, std::vector<Real> const& r, std::vector<Real>& z);
 

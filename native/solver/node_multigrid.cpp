@@ -32,30 +32,34 @@ NodeMultigrid::NodeMultigrid(fem::Operator const& a, std::vector<Real> inverse, 
     auto const corners = std::make_shared<fem::Lattice const>(lattice->share_hierarchy(), 1);
     between_ = std::make_unique<fem::Interpolation>(lattice, corners);
     coarse = a.on(std::make_shared<fem::Points const>(corners, a.points()));
-    coarse_r_.resize(coarse->unknowns()), coarse_z_.resize(coarse->unknowns()), residual_.resize(a.unknowns());
+    coarse_r_.resize(coarse->unknowns()), coarse_z_.resize(coarse->unknowns());
     // A corner is fixed if it is so as a node of the finer degree.
     corners_free_ = free_of(between_->at_corners(a.components(), inverse.data()));
-    auto const apply = [this](std::vector<Real> const& x, std::vector<Real>& y) {
-      fine_->apply_nearly(x.data(), y.data());
-    };
-    auto const smooth_with = [&](Chebyshev::Apply precondition) {
-      smoother_ =
-          std::make_unique<Chebyshev>(lattice->comm(), apply, std::move(precondition),
-                                      disordered(lattice->nodes(), a.components()), lower_end(lattice->degree()));
-    };
-    if (solves_elements) elements_ = std::make_unique<ElementSolves>(a, inverse);
-    if (elements_ && elements_->elements() > 0)
-      smooth_with([this](std::vector<Real> const& r, std::vector<Real>& z) { elements_->apply(r, z); });
-    if (!smoother_ || smoother_->largest_eigenvalue() > most_with_elements) {
-      smooth_with(by_diagonal(std::move(inverse)));
-      elements_.reset();
-    }
   }
   auto blocks = fem::node_blocks(coarse ? *coarse : a, corners_free_);
   if (kind == CornerCycle::aggregation)
     aggregates_ = std::make_unique<NodeAggregates>(lattice->comm(), blocks, a.has_rigid_modes());
   else
     levels_ = std::make_unique<NodeLevels>(lattice->comm(), std::move(blocks));
+  if (between_) make_smoother(a, std::move(inverse), solves_elements);
+}
+
+void NodeMultigrid::make_smoother(fem::Operator const& a, std::vector<Real> inverse, bool solves_elements) {
+  fem::Lattice const& lattice = a.points().lattice();
+  auto const apply = [this](std::vector<Real> const& x, std::vector<Real>& y) {
+    fine_->apply_nearly(x.data(), y.data());
+  };
+  auto const smooth_with = [&](Chebyshev::Apply precondition) {
+    smoother_ = std::make_unique<Chebyshev>(lattice.comm(), apply, std::move(precondition),
+                                            disordered(lattice.nodes(), a.components()), lower_end(lattice.degree()));
+  };
+  if (solves_elements) elements_ = std::make_unique<ElementSolves>(a, inverse);
+  if (elements_ && elements_->elements() > 0)
+    smooth_with([this](std::vector<Real> const& r, std::vector<Real>& z) { elements_->apply(r, z); });
+  if (!smoother_ || smoother_->largest_eigenvalue() > most_with_elements) {
+    smooth_with(by_diagonal(std::move(inverse)));
+    elements_.reset();
+  }
 }
 
 void NodeMultigrid::smooth_for(fem::Operator const& a, std::vector<Real> inverse) {
@@ -81,9 +85,10 @@ void NodeMultigrid::apply(std::vector<Real> const& r, std::vector<Real>& z) {
   }
   int const components = fine_->components();
   smoother_->smooth(r, z, true);
-  fine_->apply_nearly(z.data(), residual_.data());
-  for (std::size_t i = 0; i < r.size(); ++i) residual_[i] = fixed_[i] ? 0 : r[i] - residual_[i];
-  between_->transposed(components, residual_.data(), coarse_r_.data());
+  auto& residual = smoother_->residual(r, z);
+  for (std::size_t i = 0; i < r.size(); ++i)
+    if (fixed_[i]) residual[i] = 0;
+  between_->transposed(components, residual.data(), coarse_r_.data());
   for (std::size_t i = 0; i < coarse_r_.size(); ++i) coarse_r_[i] *= corners_free_[i];
   solve_corners(coarse_r_, coarse_z_);
   between_->add(components, coarse_z_.data(), z.data());

@@ -30,6 +30,7 @@ class NodeMultigrid {
   void apply(std::vector<Real> const& r, std::vector<Real>& z);
 
  private:
+  void make_smoother(fem::Operator const& a, std::vector<Real> inverse, bool solves_elements);
   void solve_corners(std::vector<Real> const& r, std::vector<Real>& z);
 
   fem::Operator const* fine_;
@@ -40,7 +41,7 @@ class NodeMultigrid {
   std::unique_ptr<Chebyshev> smoother_;
   std::unique_ptr<NodeLevels> levels_;  ///< one of both
   std::unique_ptr<NodeAggregates> aggregates_;
-  std::vector<Real> residual_, coarse_r_, coarse_z_;
+  std::vector<Real> coarse_r_, coarse_z_;
 };
 
 }  // namespace amrpic

@@ -844,7 +844,7 @@ class MpmSolid:
     def respond(self, u: NDArray[numpy.float64]) -> tuple:
         """Internal forces, energy, and the smallest det F."""
 
-    def tangent(self, u: NDArray[numpy.float64], form: int) -> FemOperator: ...
+    def tangent(self, u: NDArray[numpy.float64], form: int, stiffening: float) -> FemOperator: ...
     def deformation(self, u: NDArray[numpy.float64]) -> NDArray[numpy.float64]:
         """F of each point, 9 numbers."""
 

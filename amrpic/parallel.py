@@ -238,6 +238,11 @@ def global_sum(comm: MPI.Comm, value: float) -> float:
     return comm.allreduce(value, op=MPI.SUM)
 
 
+def global_norm(comm: MPI.Comm, values: np.ndarray) -> float:
+    """Return the root of the sum of squares of all ranks' numbers. Collective."""
+    return float(np.sqrt(global_sum(comm, float((values**2).sum()))))
+
+
 def global_max(comm: MPI.Comm, value: float) -> float:
     """Return the largest `value` of all ranks; nan if any rank holds nan. Collective."""
     missing = bool(np.isnan(value))

@@ -14,7 +14,7 @@ from .. import _native
 from ..errors import SolverError
 from ..fem import Kept, Operator, Points, solve
 from ..fem.points import mask_of
-from ..parallel import global_max, global_sum
+from ..parallel import global_max, global_norm
 from .equilibrium import EquilibriumReport, equilibrium
 from .solid import Solid
 
@@ -73,14 +73,15 @@ def damage_field(
     *,
     fixed: ArrayLike | None = None,
     values: ArrayLike | float = 0.0,
+    start: np.ndarray | None = None,
     tolerance: float = 1e-12,
 ) -> np.ndarray:
     """Return the damage of nodes (nodes,) for the largest driving energy of points, (n,) in J/m³. Collective.
 
     2 (1 - k)(1 - d) H = G/ℓ (d - ℓ² Δd), which is linear in d: integrals are over initial volumes, gradients in the mesh as it
     is. Nodes that are `fixed` have `values`; those whose elements hold no material that breaks have none. In other
-    materials beside such a thousandth of the largest G/ℓ continues the field, which few points would not determine. SolverError
-    on all ranks if the solve does not end.
+    materials beside such a thousandth of the largest G/ℓ continues the field, which few points would not determine. The solve
+    begins at `start`, which has these values. SolverError on all ranks if it does not end.
     """
     surface, length = solid.surface_and_length()
     breaks = surface > 0
@@ -95,11 +96,17 @@ def damage_field(
     mask = np.zeros(len(solid.mesh.node_indices), dtype=bool) if fixed is None else np.asarray(fixed)
     empty = of_breaking.diagonal() <= 0
     held = np.where(mask, np.broadcast_to(values, mask.shape), 0.0)
-    right = points.integrate(source / solid.j)
-    d, report = solve(operator, right, fixed=mask | empty, values=held, preconditioner="jacobi", tolerance=tolerance)
+    right, free = points.integrate(source / solid.j), ~(mask | empty)
+    begin = held if start is None else start
+    at_zero, at_begin = ((right - operator @ d) * free for d in (held, begin))
+    within = tolerance * global_norm(solid.mesh.comm, at_zero)
+    left = global_norm(solid.mesh.comm, at_begin)
+    if left <= within:
+        return begin
+    change, report = solve(operator, at_begin, fixed=~free, preconditioner="jacobi", tolerance=within / left)
     if not report.converged:
         raise SolverError(f"damage was not found in {report.iterations} iterations: {report.reason}")
-    return d
+    return begin + change
 
 
 def settle(
@@ -145,7 +152,7 @@ def settle(
             residuals.append(report.residuals[-1] / (report.size or 1))
             break
         driving = np.maximum(solid.driving, now.energies(u)[1])
-        used, nodes = nodes, damage_field(solid, driving, tolerance=max(OF_DAMAGE * enough, 1e-12))
+        used, nodes = nodes, damage_field(solid, driving, start=nodes, tolerance=max(OF_DAMAGE * enough, 1e-12))
         now = damaged(nodes)
         residuals.append(_apart(now, u, fixed, conditions.get("load")) / (report.size or 1))
         growth = global_max(solid.mesh.comm, float((now.damage - solid.damage).max(initial=0.0)))
@@ -181,5 +188,4 @@ def _apart(solid: Solid, u: np.ndarray, fixed: ArrayLike, load: ArrayLike | None
     """The L2 norm of what is not in equilibrium. Collective."""
     residual = solid.respond(u).force - (0.0 if load is None else np.asarray(load))
     held = mask_of(fixed, len(residual), 3, f"({len(residual)}, 3) there")
-    free = np.where(held, 0.0, residual)
-    return float(np.sqrt(global_sum(solid.mesh.comm, float((free**2).sum()))))
+    return global_norm(solid.mesh.comm, np.where(held, 0.0, residual))

@@ -13,7 +13,7 @@ from ..errors import InputError
 from ..fem import solve
 from ..fem.points import checked_vector, held_of, mask_of
 from ..fem.solve import Coarse, Kept, Preconditioner
-from ..parallel import global_sum, together
+from ..parallel import global_norm, global_sum, together
 from .solid import Form, Response, Solid
 
 FIRST_FORCING, LARGEST_FORCING, GAMMA = 1e-2, 0.1, 0.9  # Eisenstat and Walker, choice 2
@@ -73,6 +73,7 @@ def equilibrium(
     gradients: list[int] = []
     lengths: list[float] = []
     solved = partial(solve, fixed=held, preconditioner=preconditioner, coarse=coarse, kept=kept or Kept())
+    stiffening = 0.0
     before, reason = None, "it took the most iterations"
     for iteration in range(most_iterations + 1):
         residual, jump, energy = force - state.force, np.where(held, target - u, 0.0), state.energy
@@ -87,13 +88,31 @@ def equilibrium(
             break
         forcing = FIRST_FORCING if moving else _forcing(residuals[-1], before, tolerance * size)
         eta = linear_tolerance or forcing
+        import os
+
+        LEAST, UP, DOWN = (float(x) for x in os.environ.get("STIFF", "1 2 1").split())
         # Tangents hold 17 numbers a point: one at a time.
-        step, linear = solved(solid.tangent(u, form), residual, values=jump, tolerance=eta)
+        tried = 0
+        if DOWN == 1:
+            stiffening = 0
+        step, linear = solved(
+            solid.tangent(u, form, 0 if moving else stiffening),
+            residual,
+            values=jump,
+            tolerance=eta if not stiffening or moving else LARGEST_FORCING,
+        )
         before = linear.residuals[0]
         gradients.append(linear.iterations)
-        if not linear.converged and not moving:
-            step, positive = solved(solid.tangent(u, "positive"), residual, tolerance=LARGEST_FORCING)
-            gradients[-1] += positive.iterations
+        while not linear.converged and not moving and stiffening < 1:
+            stiffening = min(1.0, max(LEAST, UP * stiffening))
+            step, linear = solved(solid.tangent(u, "current", stiffening), residual, tolerance=LARGEST_FORCING)
+            gradients[-1] += linear.iterations
+            tried += 1
+        stiff = stiffening > 0 and not moving
+        if solid.mesh.comm.rank == 0 and os.environ.get("SHOW"):
+            print(f"      {stiffening:.3g} cg {gradients[-1]} tried {tried} moving {moving}", flush=True)
+        if not moving and DOWN > 1:
+            stiffening = stiffening / DOWN if stiffening / DOWN >= LEAST else 0.0
         found = None
         if moving and even is not None:
             there = _vector(solid, even, "the even displacement")
@@ -102,7 +121,7 @@ def equilibrium(
                 step, u = u + step - there, there
                 residual, energy, moving, found = force - state.force, state.energy, False, (there, state, 0.0)
         found = _searched(solid, u, step, residual, energy, force, held, moving, size) or found
-        if found is not None and not linear.converged and not moving:
+        if found is not None and stiff:
             found = _farther(solid, u, step, force, found)
         if found is None:
             reason = "no part of a step leaves det F positive and lowers the residual or the potential"
@@ -194,4 +213,4 @@ def _dot(solid: Solid, a: np.ndarray, b: np.ndarray) -> float:
 
 
 def _norm(solid: Solid, a: np.ndarray) -> float:
-    return float(np.sqrt(_dot(solid, a, a)))
+    return global_norm(solid.mesh.comm, a)

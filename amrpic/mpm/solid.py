@@ -16,7 +16,7 @@ from ..fem.points import checked_vector, reals
 from ..parallel import global_sum, together
 from .materials import Material, NeoHookean
 
-Form = Literal["initial", "current", "positive"]  # in the order of the native ones
+Form = Literal["initial", "current"]  # in the order of the native ones
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,12 +127,12 @@ class Solid:
         force, energy, smallest_j = self.native.respond(given)
         return Response(force.reshape(-1, 3), energy, smallest_j)
 
-    def tangent(self, u: ArrayLike, form: Form = "current") -> Tangent:
+    def tangent(self, u: ArrayLike, form: Form = "current", stiffening: float = 0.0) -> Tangent:
         """Return how internal forces change at a displacement, where all det F must be positive. Collective.
 
         "current" and "initial" are the same operator; the latter has gradients in the mesh as it is, and neo-Hookean materials
-        without damage alone. InputError on all ranks otherwise. "positive" is stiffer against rotation where stress
-        compresses, so that no direction is without stiffness.
+        without damage alone. InputError on all ranks otherwise. The former is made stiffer against rotation where stress
+        compresses, by a `stiffening` from 0 to 1, with which no direction is without stiffness.
         """
         given, _ = checked_vector(self.mesh, u, "the displacement", 3)
         with together(self.mesh.comm, InputError):
@@ -141,7 +141,7 @@ class Solid:
             plain = all(isinstance(m, NeoHookean) and m.damage is None for m in self.materials)
             if form == "initial" and not plain:
                 raise InputError('form is "initial", which neo-Hookean materials without damage have; use "current"')
-        return Tangent(self.points, self.native.tangent(given, get_args(Form).index(form)))
+        return Tangent(self.points, self.native.tangent(given, get_args(Form).index(form), stiffening))
 
     def states(self, u: ArrayLike) -> States:
         """Return what points have at a displacement, where all det F must be positive. Collective."""

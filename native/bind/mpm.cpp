@@ -44,11 +44,11 @@ void bind_mpm(nb::module_& m) {
           "u"_a, "Internal forces, energy, and the smallest det F.")
       .def(
           "tangent",
-          [](mpm::Solid const& solid, bind::Reals u, int form) {
+          [](mpm::Solid const& solid, bind::Reals u, int form, Real stiffening) {
             nb::gil_scoped_release release;
-            return mpm::tangent(solid, u.data(), mpm::Form(form));
+            return mpm::tangent(solid, u.data(), mpm::Form(form), stiffening);
           },
-          "u"_a, "form"_a)
+          "u"_a, "form"_a, "stiffening"_a)
       .def(
           "deformation",
           [](mpm::Solid const& solid, bind::Reals u) { return bind::to_array(mpm::deformation(solid, u.data())); },

@@ -167,14 +167,15 @@ void write_state(InitialNeoHookean const*, Moved const& at, Real3 const& scale, 
   out[15] = at.volume * law.moduli(at.whole).b / 2, out[16] = at.volume * law.lambda;
 }
 
-/// Add c (h - h'), the stiffness against rotation by which h . stress is positive for all h: as 2 c h - c (h + h').
+/// Add c (h - h'), a part of the stiffness against rotation by which h . stress is positive for all h: as 2 c h -
+/// c (h + h').
 template <class D>
-void make_positive(D const*, Real* state) {
+void stiffen(D const*, Real part, Real* state) {
   constexpr bool general = std::is_same_v<D, CurrentGeneral>;
   Real* const stress = state + 9;
   Tensor whole;
   material::for_each_entry([&](std::size_t i, std::size_t j) { whole[i][j] = stress[symmetric[i][j]]; });
-  Real const c = std::max(Real(0), -material::smallest_eigenvalue(whole)) / 2;
+  Real const c = part * std::max(Real(0), -material::smallest_eigenvalue(whole)) / 2;
   for (int d = 0; d < 3; ++d) stress[d] += 2 * c;
   if constexpr (general)
     for (int i = 0, n = 15; i < 6; n += 6 - i, ++i) state[n] -= i < 3 ? 2 * c : c;
@@ -189,13 +190,13 @@ std::unique_ptr<fem::Operator> made(std::shared_ptr<fem::Points const> points, B
 }
 
 template <class D>
-std::unique_ptr<fem::Operator> tangent_as(Solid const& solid, Real const* u, Form form) {
+std::unique_ptr<fem::Operator> tangent_as(Solid const& solid, Real const* u, Real stiffening) {
   Real3 const scale = fem::slope_scale(solid.points->lattice());
   Blocks state(*solid.points, D::width);
   sum_point_by_point<false>(*solid.points, u, [&](Place const& at, Tensor const& slopes) {
     Real own[D::width];
     write_state(static_cast<D const*>(nullptr), moved(solid, at, slopes), scale, own);
-    if (form == Form::positive) make_positive(static_cast<D const*>(nullptr), own);
+    if (stiffening > 0) stiffen(static_cast<D const*>(nullptr), stiffening, own);
     state.write(own, at.block, at.lane);
   });
   return made<D>(solid.points, std::move(state));
@@ -257,11 +258,11 @@ std::vector<Real> stresses(Solid const& solid, Real const* deformation) {
   return out;
 }
 
-std::unique_ptr<fem::Operator> tangent(Solid const& solid, Real const* u, Form form) {
-  if (form == Form::initial) return tangent_as<InitialNeoHookean>(solid, u, form);
-  if (any_of<material::Ogden>(solid)) return tangent_as<CurrentGeneral>(solid, u, form);
-  if (any_of<material::DamagedNeoHookean>(solid)) return tangent_as<CurrentIsotropic<true>>(solid, u, form);
-  return tangent_as<CurrentIsotropic<false>>(solid, u, form);
+std::unique_ptr<fem::Operator> tangent(Solid const& solid, Real const* u, Form form, Real stiffening) {
+  if (form == Form::initial) return tangent_as<InitialNeoHookean>(solid, u, 0);
+  if (any_of<material::Ogden>(solid)) return tangent_as<CurrentGeneral>(solid, u, stiffening);
+  if (any_of<material::DamagedNeoHookean>(solid)) return tangent_as<CurrentIsotropic<true>>(solid, u, stiffening);
+  return tangent_as<CurrentIsotropic<false>>(solid, u, stiffening);
 }
 
 std::vector<Real> determinants(Real const* deformation, std::size_t points) {

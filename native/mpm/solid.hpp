@@ -37,13 +37,13 @@ struct Response {
 /// Collective.
 Response respond(Solid const& solid, Real const* u);
 
-enum class Form { initial, current, positive };
+enum class Form { initial, current };
 
 /// How the internal forces change with u, which must leave all det F positive. In the initial form, which neo-Hookean
 /// solids alone have, gradients are those of the mesh's configuration; in the current one those of the displaced one.
-/// The positive form is the current one made stiffer against rotation where stress compresses, so that it has no
-/// direction without stiffness. Collective.
-std::unique_ptr<fem::Operator> tangent(Solid const& solid, Real const* u, Form form);
+/// `stiffening`: the current form is made stiffer against rotation where stress compresses, by this part of what leaves
+/// no direction without stiffness. Collective.
+std::unique_ptr<fem::Operator> tangent(Solid const& solid, Real const* u, Form form, Real stiffening = 0);
 
 /// F of each point, 9 numbers, at a displacement. Collective.
 std::vector<Real> deformation(Solid const& solid, Real const* u);

@@ -1,7 +1,6 @@
 #pragma once
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <vector>
 
@@ -19,32 +18,28 @@ struct GradientsReport {
 
 /// Reduce the residual r = f - A x of a symmetric positive definite A to `tolerance` times what it is, adding to x.
 /// `apply(p, q)`: q = A p; `precondition(r, z)`: z near the solution of A z = r, symmetric and positive definite.
-/// Collective, two reductions an iteration.
+/// Collective, three reductions an iteration.
 template <class Apply, class Precondition>
 GradientsReport conjugate_gradients(Communicator const& comm, Apply&& apply, Precondition&& precondition,
                                     std::vector<Real>& r, std::vector<Real>& x, Real tolerance, int most_iterations) {
   std::size_t const n = r.size();
-  auto const dots = [&](std::vector<Real> const& a) {  // with r: of a, and of itself
-    std::array<Real, 2> sums{};
-    for (std::size_t i = 0; i < n; ++i) sums[0] += a[i] * r[i], sums[1] += r[i] * r[i];
-    comm.sum_each(sums);
-    return sums;
+  auto const dot = [&](std::vector<Real> const& a, std::vector<Real> const& b) {
+    Real sum = 0;
+    for (std::size_t i = 0; i < n; ++i) sum += a[i] * b[i];
+    return comm.sum(sum);
   };
   GradientsReport out;
   std::vector<Real> z(n), p(n, 0), q(n);
   Real before = 0, longest = 0;
   for (int iteration = 0;; ++iteration) {
-    precondition(r, z);
-    auto const [rz, rr] = dots(z);
-    out.residuals.push_back(std::sqrt(rr));
+    out.residuals.push_back(std::sqrt(dot(r, r)));
     if (out.residuals.back() <= tolerance * out.residuals.front() || iteration == most_iterations) return out;
+    precondition(r, z);
+    Real const rz = dot(r, z);
     Real const kept = iteration == 0 ? 0 : rz / before;
     for (std::size_t i = 0; i < n; ++i) p[i] = z[i] + kept * p[i];
     apply(p, q);
-    Real curvature = 0;
-    for (std::size_t i = 0; i < n; ++i) curvature += p[i] * q[i];
-    curvature = comm.sum(curvature);
-    Real const step = rz / std::abs(curvature);
+    Real const curvature = dot(p, q), step = rz / std::abs(curvature);
     if (!(curvature > 0)) {
       out.curved_down = true;
       Real const down = iteration == 0 ? step : std::min(step, longest);

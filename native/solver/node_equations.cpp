@@ -1,5 +1,6 @@
 #include "solver/node_equations.hpp"
 
+#include <algorithm>
 #include <memory>
 #include <string>
 
@@ -55,8 +56,9 @@ NodeSolution solve_nodes(fem::Operator const& a, Real const* f, bool const* fixe
   out.u.assign(n, 0);
   for (std::size_t i = 0; i < n; ++i)
     if (fixed[i]) out.u[i] = values[i];
-  std::vector<Real> r(n);
-  a.apply(out.u.data(), r.data());
+  std::vector<Real> r(n, 0);
+  GlobalIndex const moved = std::count_if(out.u.begin(), out.u.end(), [](Real u) { return u != 0; });
+  if (a.points().lattice().comm().sum(moved) > 0) a.apply(out.u.data(), r.data());
   for (std::size_t i = 0; i < n; ++i) r[i] = f[i] - r[i];
   free_part(r);
   out.report = conjugate_gradients(

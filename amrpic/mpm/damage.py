@@ -100,10 +100,9 @@ def damage_field(
     begin = held if start is None else start
     at_zero, at_begin = ((right - operator @ d) * free for d in (held, begin))
     within = tolerance * global_norm(solid.mesh.comm, at_zero)
-    left = global_norm(solid.mesh.comm, at_begin)
-    if left <= within:
+    if (first := global_norm(solid.mesh.comm, at_begin)) <= within:
         return begin
-    change, report = solve(operator, at_begin, fixed=~free, preconditioner="jacobi", tolerance=within / left)
+    change, report = solve(operator, at_begin, fixed=~free, preconditioner="jacobi", tolerance=within / first)
     if not report.converged:
         raise SolverError(f"damage was not found in {report.iterations} iterations: {report.reason}")
     return begin + change

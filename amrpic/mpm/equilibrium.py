@@ -17,6 +17,7 @@ from ..parallel import global_norm, global_sum, together
 from .solid import Form, Response, Solid
 
 FIRST_FORCING, LARGEST_FORCING, GAMMA = 1e-2, 0.1, 0.9  # Eisenstat and Walker, choice 2
+LEAST_STIFFENING = 1 / 8  # of what leaves no direction without stiffness
 ENOUGH = 1e-4  # part of the expected fall that a step must reach
 MOST_CUTS = 20
 ROUNDING = 1e-10  # of potentials
@@ -60,11 +61,12 @@ def equilibrium(
 
     Unknowns that are `fixed`, a mask (nodes,) or (nodes, 3), go to their `values` in m. The residual of the others falls to
     `tolerance` times the size of all forces. Linear solves end by Eisenstat and Walker's rule, or at `linear_tolerance`; where
-    the tangent is not positive along a direction, its positive form takes its place. Steps are halved until all det F are
-    positive and the potential falls, or the residual does and the potential does not rise; those of the positive form are
-    doubled while it falls. The first step takes the walls along; it is halved towards `even`, a displacement (nodes, 3) in m
-    that has their values, if that is given and leaves det F positive. What is `kept` of the preconditioner goes on to the next
-    solve. What was reached is returned, converged or not. Collective; InputError on all ranks for arrays of other shapes.
+    the tangent is not positive along a direction, it is made stiffer until it is, by an eighth and twice as much each time, and
+    half as much in the next iteration. Steps are halved until all det F are positive and the potential falls, or the residual
+    does and the potential does not rise; those of stiffer tangents are doubled while it falls. The first step takes the walls
+    along; it is halved towards `even`, a displacement (nodes, 3) in m that has their values, if that is given and leaves det F
+    positive. What is `kept` of the preconditioner goes on to the next solve. What was reached is returned, converged or not.
+    Collective; InputError on all ranks for arrays of other shapes.
     """
     held, target, force = _conditions(solid, fixed, values, load)
     u = np.zeros(target.shape) if start is None else _vector(solid, start, "start").copy()
@@ -73,8 +75,7 @@ def equilibrium(
     gradients: list[int] = []
     lengths: list[float] = []
     solved = partial(solve, fixed=held, preconditioner=preconditioner, coarse=coarse, kept=kept or Kept())
-    stiffening = 0.0
-    before, reason = None, "it took the most iterations"
+    before, stiffening, reason = None, 0.0, "it took the most iterations"
     for iteration in range(most_iterations + 1):
         residual, jump, energy = force - state.force, np.where(held, target - u, 0.0), state.energy
         moving = _norm(solid, jump) > 0
@@ -87,32 +88,17 @@ def equilibrium(
         if iteration == most_iterations:
             break
         forcing = FIRST_FORCING if moving else _forcing(residuals[-1], before, tolerance * size)
-        eta = linear_tolerance or forcing
-        import os
-
-        LEAST, UP, DOWN = (float(x) for x in os.environ.get("STIFF", "1 2 1").split())
+        part = 0.0 if moving else stiffening
+        eta = LARGEST_FORCING if part > 0 else linear_tolerance or forcing
         # Tangents hold 17 numbers a point: one at a time.
-        tried = 0
-        if DOWN == 1:
-            stiffening = 0
-        step, linear = solved(
-            solid.tangent(u, form, 0 if moving else stiffening),
-            residual,
-            values=jump,
-            tolerance=eta if not stiffening or moving else LARGEST_FORCING,
-        )
+        step, linear = solved(solid.tangent(u, form, part), residual, values=jump, tolerance=eta)
         before = linear.residuals[0]
         gradients.append(linear.iterations)
-        while not linear.converged and not moving and stiffening < 1:
-            stiffening = min(1.0, max(LEAST, UP * stiffening))
-            step, linear = solved(solid.tangent(u, "current", stiffening), residual, tolerance=LARGEST_FORCING)
+        while not (linear.converged or moving or part == 1):
+            part = min(max(2 * part, LEAST_STIFFENING), 1.0)
+            step, linear = solved(solid.tangent(u, form, part), residual, tolerance=LARGEST_FORCING)
             gradients[-1] += linear.iterations
-            tried += 1
-        stiff = stiffening > 0 and not moving
-        if solid.mesh.comm.rank == 0 and os.environ.get("SHOW"):
-            print(f"      {stiffening:.3g} cg {gradients[-1]} tried {tried} moving {moving}", flush=True)
-        if not moving and DOWN > 1:
-            stiffening = stiffening / DOWN if stiffening / DOWN >= LEAST else 0.0
+        stiffening = part / 2 if part > LEAST_STIFFENING else 0.0
         found = None
         if moving and even is not None:
             there = _vector(solid, even, "the even displacement")
@@ -121,7 +107,7 @@ def equilibrium(
                 step, u = u + step - there, there
                 residual, energy, moving, found = force - state.force, state.energy, False, (there, state, 0.0)
         found = _searched(solid, u, step, residual, energy, force, held, moving, size) or found
-        if found is not None and stiff:
+        if found is not None and part > 0:
             found = _farther(solid, u, step, force, found)
         if found is None:
             reason = "no part of a step leaves det F positive and lowers the residual or the potential"

@@ -131,8 +131,8 @@ class Solid:
         """Return how internal forces change at a displacement, where all det F must be positive. Collective.
 
         "current" and "initial" are the same operator; the latter has gradients in the mesh as it is, and neo-Hookean materials
-        without damage alone. InputError on all ranks otherwise. The former is made stiffer against rotation where stress
-        compresses, by a `stiffening` from 0 to 1, with which no direction is without stiffness.
+        without damage alone. InputError on all ranks otherwise. With `stiffening` the operator is stiffer against rotation
+        where stress compresses: by a part of what leaves no direction without stiffness.
         """
         given, _ = checked_vector(self.mesh, u, "the displacement", 3)
         with together(self.mesh.comm, InputError):

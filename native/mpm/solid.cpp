@@ -259,7 +259,7 @@ std::vector<Real> stresses(Solid const& solid, Real const* deformation) {
 }
 
 std::unique_ptr<fem::Operator> tangent(Solid const& solid, Real const* u, Form form, Real stiffening) {
-  if (form == Form::initial) return tangent_as<InitialNeoHookean>(solid, u, 0);
+  if (form == Form::initial && stiffening == 0) return tangent_as<InitialNeoHookean>(solid, u, 0);
   if (any_of<material::Ogden>(solid)) return tangent_as<CurrentGeneral>(solid, u, stiffening);
   if (any_of<material::DamagedNeoHookean>(solid)) return tangent_as<CurrentIsotropic<true>>(solid, u, stiffening);
   return tangent_as<CurrentIsotropic<false>>(solid, u, stiffening);
@@ -277,7 +277,8 @@ std::unique_ptr<fem::Operator> damage_operator(DamageEquation const& e) {
   for (std::int64_t block = 0; block < e.points->blocks(); ++block)
     for_each_place(*e.points, block, [&](Place const& at) {
       std::size_t const p = at.point;
-      Real own[Damage::width] = {e.surface[p] > 0 ? e.volume[p] * (e.driving[p] + e.surface[p]) : 0};
+      Real own[Damage::width];
+      own[0] = e.surface[p] > 0 ? e.volume[p] * (e.driving[p] + e.surface[p]) : 0;
       for (std::size_t d = 0; d < 3; ++d)
         own[1 + d] = e.volume[p] * e.surface[p] * e.length[p] * e.length[p] * scale[d] * scale[d];
       state.write(own, at.block, at.lane);

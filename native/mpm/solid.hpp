@@ -41,8 +41,8 @@ enum class Form { initial, current };
 
 /// How the internal forces change with u, which must leave all det F positive. In the initial form, which neo-Hookean
 /// solids alone have, gradients are those of the mesh's configuration; in the current one those of the displaced one.
-/// `stiffening`: the current form is made stiffer against rotation where stress compresses, by this part of what leaves
-/// no direction without stiffness. Collective.
+/// With `stiffening` it is the current form, stiffer against rotation where stress compresses, by this part of what
+/// leaves no direction without stiffness. Collective.
 std::unique_ptr<fem::Operator> tangent(Solid const& solid, Real const* u, Form form, Real stiffening = 0);
 
 /// F of each point, 9 numbers, at a displacement. Collective.

@@ -64,8 +64,4 @@ class Cholesky {
   std::vector<Real> reciprocal_;  ///< of the diagonal
 };
 
-/// The solution of as many equations as `b` has numbers, in single precision; empty if rows, of entries near 1, are
-/// hardly independent.
-std::vector<float> solution_in_floats(Real const* matrix, std::vector<Real> const& b);
-
 }  // namespace amrpic::fem

@@ -18,7 +18,7 @@ namespace amrpic::fem {
 namespace {
 
 constexpr Real exactly = 1e-13;  ///< error of a moment that counts as none; moments of order 1
-constexpr int most_steps = 60;
+constexpr int most_steps = 60, most_descents = 12;
 
 /// The largest of numbers that are positive, or zero.
 Real largest_or_zero(Real const* a, std::size_t count) {
@@ -76,12 +76,12 @@ class Fit {
     }
   }
 
-  /// Whether there are such weights: then `weight` holds them.
-  bool find(std::vector<Real>& weight) {
-    if (count_ == moments_ && only_ones_are_negative()) return false;
-    slope_.assign(points_, 0);
-    lambda_.assign(rows_, 0);
-    set_weights();
+  /// Whether there are such weights: then `weight` holds them. That there are none is found sooner if that is thought
+  /// of.
+  bool find(std::vector<Real>& weight, bool doubtful) {
+    begin();
+    if (doubtful && descends_for_ever()) return false;
+    begin();  // Newton's method goes astray from where that led
     for (int step = 0; step < most_steps; ++step) {
       auto const residual = missing();
       Real largest = 0;
@@ -102,14 +102,46 @@ class Fit {
  private:
   Real const* row(std::size_t m) const { return a_.data() + m * points_; }
 
-  /// Of as many points as moments, whether the only weights that are exact are clearly below zero.
-  bool only_ones_are_negative() const {
-    constexpr float clearly = 0.01f;
-    std::vector<Real> b(moments_, 0);
-    b[0] = 1;
-    auto const weights = solution_in_floats(a_.data(), b);
-    auto const [least, most] = std::minmax_element(weights.begin(), weights.end());
-    return !weights.empty() && *least < -clearly * *most;
+  /// Whether steps of conjugate gradients down F show that it has no minimum, which they do soon if few weights that
+  /// are exact would be positive.
+  bool descends_for_ever() {
+    auto residual = missing(), direction = residual;
+    for (int step = 0; step < most_descents; ++step) {
+      auto const change = at_points(direction);
+      Real const length = to_minimum(change, direction[0]);
+      if (length == 0) return false;
+      go(length, direction, change);
+      if (is_impossible(lambda_, slope_)) return true;
+      auto const next = missing();
+      Real const kept = dot(next.data(), next.data(), rows_) / dot(residual.data(), residual.data(), rows_);
+      for (std::size_t m = 0; m < moments_; ++m) direction[m] = next[m] + kept * direction[m];
+      residual = next;
+    }
+    return false;
+  }
+
+  /// The step to where F is least along a direction, nearly: it is made of parabolas.
+  Real to_minimum(std::vector<Real> const& change, Real along_b) const {
+    Real out = 0;
+    for (int parabola = 0; parabola < 3; ++parabola) {
+      NativeLanes slopes{}, curvatures{};
+      for (std::size_t p = 0; p < points_; p += tile) {
+        auto const by = load<NativeLanes>(&change[p]), t = 1 + load<NativeLanes>(&slope_[p]) + out * by;
+        auto const of_volume = load<NativeLanes>(&volume_[p]) * by;
+        slopes += of_volume * (t > least_weight ? t : NativeLanes{} + least_weight);
+        curvatures += t > least_weight ? of_volume * by : NativeLanes{};
+      }
+      Real const curvature = sum_of_lanes(curvatures);
+      if (!(curvature > 0)) break;
+      out -= (sum_of_lanes(slopes) - along_b) / curvature;
+    }
+    return out;
+  }
+
+  void begin() {
+    slope_.assign(points_, 0);
+    lambda_.assign(rows_, 0);
+    set_weights();
   }
 
   void set_weights() {
@@ -198,15 +230,19 @@ class Fit {
            step * along_b;
   }
 
+  void go(Real step, std::vector<Real> const& direction, std::vector<Real> const& change) {
+    for (std::size_t p = 0; p < points_; ++p) slope_[p] += step * change[p];
+    for (std::size_t m = 0; m < moments_; ++m) lambda_[m] += step * direction[m];
+    set_weights();
+  }
+
   /// λ goes along a direction, a `change` at points, as far as F falls as it should. Whether it could.
   bool advance(std::vector<Real> const& direction, std::vector<Real> const& change, std::vector<Real> const& residual) {
     Real const falls = dot(direction.data(), residual.data(), rows_);
     Real const before = objective(change, 0, direction[0]);
     for (Real step = 1; step > 1e-10; step /= 2) {
       if (objective(change, step, direction[0]) > before - 1e-4 * step * falls + 1e-15 * std::abs(before)) continue;
-      for (std::size_t p = 0; p < points_; ++p) slope_[p] += step * change[p];
-      for (std::size_t m = 0; m < moments_; ++m) lambda_[m] += step * direction[m];
-      set_weights();
+      go(step, direction, change);
       return true;
     }
     return false;
@@ -224,14 +260,16 @@ class Fit {
 /// The weights of one element, in parts of its volume, and to which degree they are exact.
 int fit(Real const* reference, std::vector<Real> const& volume, std::size_t count, int highest,
         std::vector<Real>& weight) {
-  auto const found = [&](int degree) { return Fit(reference, volume, count, degree).find(weight); };
+  auto const found = [&](int degree, bool doubtful = false) {
+    return Fit(reference, volume, count, degree).find(weight, doubtful);
+  };
   int reached = (highest + 1) / 2;  // of elements of this degree: most reach it, and few go far beyond
   if (!found(reached)) {
     while (--reached >= 0 && !found(reached)) continue;
     if (reached < 0) weight = volume;
     return reached;
   }
-  while (reached < highest && found(reached + 1)) ++reached;
+  while (reached < highest && found(reached + 1, true)) ++reached;
   return reached;
 }
 

@@ -161,8 +161,9 @@ class Recorder:
     def _draw(self, state: State) -> None:
         """Draw what a field dump of a state shows, or would show, and forces over travel."""
         path = vtkhdf_writer.path_of(self._scene.directory, state.step)
-        means = element_means(state, self._scene)
-        draw(LiveDump(path, state.placed.mesh.hierarchy, means, state.step, state.load), path.parent, OF_POINTS)
+        hierarchy, means = state.placed.mesh.hierarchy, element_means(state, self._scene)
+        dump = LiveDump(path, hierarchy, means, state.step, state.load, self._about.scene_text)
+        draw(dump, path.parent, OF_POINTS)
         with together(self._comm, OutputError):
             if self._comm.rank == 0 and self._series is not None:
                 from .pictures import draw_forces  # matplotlib takes long to import, and no other rank needs it

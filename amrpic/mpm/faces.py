@@ -9,28 +9,21 @@ from pydantic import Field, model_serializer, model_validator
 
 from ..mesh.domain import AXES
 from ..scene.complaints import close_match, complaint
+from ..scene.per_face import pairs_of, schema_of
 from ..scene.section import Section
 
 KINDS = ("slip", "clamped", "free")
 MOVES = {"press": -1, "pull": 1}
-SIDES = ("lower", "upper")
-
-
 _PART = {"type": "number", "exclusiveMinimum": 0}
-_FACE = {
-    "anyOf": [
-        {"enum": list(KINDS)},
-        {"type": "object", "properties": {"press": {**_PART, "exclusiveMaximum": 1}}, "required": ["press"]},
-        {"type": "object", "properties": {"pull": _PART}, "required": ["pull"]},
-    ]
-}
-FACES_SCHEMA = {
-    "type": "object",
-    "properties": {
-        axis: {"anyOf": [_FACE, {"type": "array", "items": _FACE, "minItems": 2, "maxItems": 2}]} for axis in AXES
-    },
-    "additionalProperties": False,
-}
+FACES_SCHEMA = schema_of(
+    {
+        "anyOf": [
+            {"enum": list(KINDS)},
+            {"type": "object", "properties": {"press": {**_PART, "exclusiveMaximum": 1}}, "required": ["press"]},
+            {"type": "object", "properties": {"pull": _PART}, "required": ["pull"]},
+        ]
+    }
+)
 
 
 class Face(Section):
@@ -77,12 +70,5 @@ def faces_of(data: Any) -> Any:
     """Return faces per axis as pairs; axes that are not there are free."""
     if not isinstance(data, Mapping):
         raise complaint("are no faces", 'write one or a pair per axis, such as { x = "slip", z = ["clamped", "free"] }')
-    for axis in data:
-        if axis not in AXES:
-            raise complaint("is not an axis", "use x, y and z", path=str(axis), found=data[axis])
-    pairs = {axis: data.get(axis, "free") for axis in AXES}
-    out = {axis: tuple(one) if isinstance(one, list | tuple) else (one, one) for axis, one in pairs.items()}
-    for axis, pair in out.items():
-        if len(pair) != 2:
-            raise complaint("does not fit the two faces of an axis", "write one or a pair", path=axis, found=data[axis])
-    return out
+    pairs = pairs_of(data)
+    return {axis: pairs.get(axis, ("free", "free")) for axis in AXES}

@@ -7,11 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from mpi4py import MPI
 
-from ..mesh.domain import AXES
+from ..mesh.domain import AXES, FACES
 from ..units import Quantity
 from .conditions import body_force, held_by, nodes_of
 from .damage import DamageReport, Settled
-from .faces import SIDES
 from .loads import Loads
 from .material_points import Placed
 from .scene import Scene
@@ -19,7 +18,6 @@ from .solid import Solid
 from .state import Plan, State
 
 STAGES = ("sample", "migrate", "weigh", "equilibrium", "output")
-FACES = tuple(f"{axis}_{side}" for axis in AXES for side in SIDES)
 
 
 def quantities(scene: Scene) -> Sequence[Quantity]:
@@ -68,15 +66,11 @@ def at_rest(there: Placed, plan: Plan) -> dict[str, float]:
     """Return what points by themselves say. Collective."""
     points, comm = there.points, plan.comm
     j = points.j
-    least, most = (
-        comm.allreduce(float(j.min(initial=np.inf)), MPI.MIN),
-        comm.allreduce(float(j.max(initial=0)), MPI.MAX),
-    )
     exact = there.weighed.exactness()
     return {
         "points": comm.allreduce(len(points)),
-        "j_min": least,
-        "j_max": most,
+        "j_min": comm.allreduce(float(j.min(initial=np.inf)), MPI.MIN),
+        "j_max": comm.allreduce(float(j.max(initial=0)), MPI.MAX),
         "damage_max": comm.allreduce(float(points.damage.max(initial=0)), MPI.MAX),
         **{name: exact.get(number - 1, 0) for number, name in enumerate(degrees(plan.scene))},
     }
@@ -96,7 +90,7 @@ def measure(
     held = [there.solid.respond(0 * u).force - loaded[0], solid.respond(u).force - loaded[1]]
     mean = (held[0] + held[1]) / 2
     of_floor = there.floor.respond(u).force if there.floor is not None else np.zeros_like(u)
-    faces = [(AXES.index(name[0]), nodes_of(mesh, AXES.index(name[0]), SIDES.index(name[2:]))) for name in FACES]
+    faces = [(axis, nodes_of(mesh, axis, side)) for axis in range(3) for side in range(2)]  # in the order of FACES
     materials = len(scene.materials)
     total = _summed(
         plan.comm,

@@ -13,7 +13,10 @@ from ..scene.per_face import pairs_of, schema_of
 from ..scene.section import Section
 
 KINDS = ("slip", "clamped", "free")
-MOVES = {"press": -1, "pull": 1}
+MOVES = {  # sign, limit, what a wrong part is none of, and what a right one is
+    "press": (-1, 1, "that goes", "number between 0 and 1"),
+    "pull": (1, 100, "that comes", "positive number"),
+}
 _PART = {"type": "number", "exclusiveMinimum": 0}
 FACES_SCHEMA = schema_of(
     {
@@ -41,18 +44,10 @@ class Face(Section):
             return {"kind": data}
         if isinstance(data, Mapping) and len(data) == 1 and set(data) <= set(MOVES):
             ((name, part),) = data.items()
-            if (
-                isinstance(part, bool)
-                or not isinstance(part, int | float)
-                or not 0 < part < (1 if name == "press" else 100)
-            ):
-                raise complaint(
-                    "is no part of the length that goes" if name == "press" else "is no part of the length that comes",
-                    "give a number between 0 and 1" if name == "press" else "give a positive number",
-                    path=name,
-                    found=part,
-                )
-            return {"change": MOVES[name] * part}
+            sign, limit, what, remedy = MOVES[name]
+            if isinstance(part, bool) or not isinstance(part, int | float) or not 0 < part < limit:
+                raise complaint(f"is no part of the length {what}", f"give a {remedy}", path=name, found=part)
+            return {"change": sign * part}
         if isinstance(data, Mapping) and not set(data) <= set(cls.model_fields):
             raise complaint(
                 "is no face", f"use {', '.join(KINDS)}, {{ press = 0.3 }} or {{ pull = 0.1 }}", found=dict(data)

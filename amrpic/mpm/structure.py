@@ -153,10 +153,11 @@ class Voxels(Structure):
     def labels(self, places: np.ndarray, corners: Corners, materials: Sequence[str]) -> np.ndarray:
         number, (lower, upper) = _numbers(materials), corners
         voxels = self.read()
-        meant = np.array([number[self.materials[str(label)]] for label in np.unique(voxels)])
+        labels = np.unique(voxels)
+        meant = np.array([number[self.materials[str(label)]] for label in labels])
         at = ((places - lower) / (upper - lower) * voxels.shape).astype(int)
         i, j, k = np.clip(at, 0, np.array(voxels.shape) - 1).T
-        return meant[np.searchsorted(np.unique(voxels), voxels[i, j, k])]
+        return meant[np.searchsorted(labels, voxels[i, j, k])]
 
     def check(self) -> None:
         self.read()

@@ -134,9 +134,8 @@ def _tensor(along: np.ndarray) -> np.ndarray:
 
 def _numbers(mesh: Mesh, count: int) -> np.ndarray:
     """Number of each point where every element of the mesh has so many, (elements, count)."""
-    i, j, k = mesh.elements.T.astype(np.int64)
-    nx, ny, _ = mesh.domain.cells
-    return (i + nx * (j + ny * k))[:, None] * count + np.arange(count)
+    element = np.ravel_multi_index(tuple(mesh.elements.T), mesh.domain.cells, order="F")
+    return element[:, None] * count + np.arange(count)
 
 
 def _drawn(mesh: Mesh, count: int, seed: int) -> np.ndarray:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from ..fem import Mesh
-from ..fem.points import Weights
 from .material_points import MaterialPoints, migrate, placed, require_inside
 from .solid import Solid
 
@@ -31,7 +30,7 @@ def moved(
     )
 
 
-def carried(solid: Solid, u: np.ndarray, mesh: Mesh, *, weights: Weights = "moments") -> Solid:
+def carried(solid: Solid, u: np.ndarray, mesh: Mesh) -> Solid:
     """Return the solid after a displacement, (nodes, 3) in m, on a mesh that has none. Collective.
 
     Points move by u to the ranks of their elements, and have F and volumes from there on; damage and driving energy stay.
@@ -39,4 +38,4 @@ def carried(solid: Solid, u: np.ndarray, mesh: Mesh, *, weights: Weights = "mome
     """
     columns = moved(solid, u).columns()
     require_inside(columns, mesh, 1.0)
-    return placed(migrate(columns, mesh)[0], mesh, list(solid.materials), weights).solid
+    return placed(migrate(columns, mesh)[0], mesh, list(solid.materials), "moments").solid

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..fem import Mesh
-from ..mesh.domain import AXES
 from .material_points import Placed
 from .scene import Scene
 
@@ -26,8 +25,7 @@ def held_by(scene: Scene, mesh: Mesh, begin: float, end: float) -> tuple[np.ndar
     before, after = scene.extent(begin), scene.extent(end)
     fixed = np.zeros((len(mesh.node_indices), 3), dtype=bool)
     values = np.zeros(fixed.shape)
-    for name, pair in scene.faces.items():
-        axis = AXES.index(name)
+    for axis, pair in enumerate(scene.faces.values()):
         for side, face in enumerate(pair):
             on = nodes_of(mesh, axis, side)
             if face.kind == "clamped":

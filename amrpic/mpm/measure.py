@@ -76,12 +76,11 @@ def at_rest(there: Placed, plan: Plan) -> dict[str, float]:
     }
 
 
-def measure(
-    state: State, loads: Loads, settled: Settled, report: DamageReport, plan: Plan
-) -> tuple[dict[str, float], dict[str, float]]:
-    """Return the row of a step that led from a state to equilibrium, and work since the start. Collective.
+def measure(state: State, loads: Loads, settled: Settled, report: DamageReport, plan: Plan) -> dict[str, float]:
+    """Return the row of a step that led from a state to equilibrium. Collective.
 
-    Work is by the mean of forces before and after the step; forces before it are those of the points on the present mesh.
+    Work is since the start, by the mean of forces before and after a step; forces before it are those of the points on the
+    present mesh.
     """
     scene, there, u = plan.scene, state.placed, settled.displacement
     mesh, solid = there.mesh, settled.solid
@@ -108,13 +107,13 @@ def measure(
     stored, dissipated = total["stored"], total["dissipated"]
     names = [*(f"work_{face}" for face in FACES), "work_gravity", "unbalanced"]
     done = zip(names, [*total["work"], *total["unbalanced"]], strict=True)
-    totals = {name: state.totals.get(name, 0.0) + float(value) for name, value in done}
+    totals = {name: state.measured.get(name, 0.0) + float(value) for name, value in done}
     all_work = sum(totals[name] for name in names[:-1])
     newton = [one.iterations for one in report.equilibria]
     cg = [count for one in report.equilibria for count in one.gradients]
     before, after = scene.extent(0.0), scene.extent(loads.end)
     shorter = (before[1] - before[0]) - (after[1] - after[0])
-    row = {
+    return {
         "load": loads.end,
         **{f"travel_{axis}": float(shorter[d]) for d, axis in enumerate(AXES)},
         **{f"force_{face}": float(value) for face, value in zip(FACES, total["force"], strict=True)},
@@ -134,7 +133,6 @@ def measure(
         "cg_most": max(cg, default=0),
         "residual": report.residuals[-1],
     }
-    return row, totals
 
 
 def _summed(comm: MPI.Comm, **parts: Sequence[float] | np.ndarray) -> dict[str, np.ndarray]:

@@ -33,7 +33,7 @@ def snapshot(state: State, plan: Plan) -> Snapshot:
             "materials": list(scene.materials),  # in their order, which the scene in a manifest has lost
             "begin": state.loads.begin,
             "length": state.loads.length,
-            "totals": dict(state.totals),
+            "measured": dict(state.measured),
         },
     )
     return Snapshot(header, tables={"points": state.placed.points.columns()})
@@ -61,4 +61,4 @@ def load(comm: MPI.Comm, path: Path, scene: Scene | None = None) -> tuple[State,
     held, extra = read(comm, path, manifest=manifest), header.extra
     loads = scene.schedule.loads(extra["begin"], extra["length"])
     there, _ = put(dict(held.tables["points"]), plan, loads.begin)
-    return State(header.step, loads, there, extra["totals"]), plan
+    return State(header.step, loads, there, extra["measured"]), plan

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from ..errors import ParticleError, SolverError
 from .carry import moved
 from .conditions import body_force, even_motion, held_by
@@ -21,7 +19,7 @@ def begin(plan: Plan) -> State:
     with plan.clock("sample"):
         columns = sample(scene, mesh).columns()
     there, _ = put(columns, plan, 0.0)
-    return replace(State(0, scene.schedule.loads(), there), measured=at_rest(there, plan))
+    return State(0, scene.schedule.loads(), there, at_rest(there, plan))
 
 
 def advance(state: State, plan: Plan) -> State:
@@ -38,9 +36,9 @@ def advance(state: State, plan: Plan) -> State:
             break
         except (SolverError, ParticleError) as why:  # a large step may fold the mesh between points: some are outside
             loads, cuts = loads.cut(str(why)), cuts + 1
-    measured, totals = measure(state, loads, settled, report, plan)
+    measured = measure(state, loads, settled, report, plan)
     measured |= {"cuts": cuts, "changed_rank": plan.comm.allreduce(came)} | at_rest(there, plan)
-    return State(state.step + 1, loads.taken(report.most_iterations, report.growth), there, totals, measured)
+    return State(state.step + 1, loads.taken(report.most_iterations, report.growth), there, measured)
 
 
 def put(columns: Columns, plan: Plan, load: float) -> tuple[Placed, int]:

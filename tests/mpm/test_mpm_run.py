@@ -140,6 +140,7 @@ def test_a_run_that_is_killed_goes_on_bit_by_bit(comm, tmp_path):
         whole.advance()
     whole.checkpoint(tmp_path / "checkpoint_00000002")
     again = mpm.Simulation.restart(comm, tmp_path / "checkpoint_00000002")
+    assert whole.state.measured == again.state.measured
     for run in (whole, again):
         for _ in range(2):
             run.advance()

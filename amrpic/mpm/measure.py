@@ -33,6 +33,7 @@ def quantities(scene: Scene) -> Sequence[Quantity]:
         "gap",  # work less what is stored and dissipated
         "unbalanced",  # of that, what forces out of balance let go: those of points on a new mesh, where elements change
     ]
+    effort = ("cuts", "turns", "newton_iterations", "newton_most", "cg_iterations", "cg_most")
     return (
         Quantity("step", counts=True),
         Quantity("load"),
@@ -41,15 +42,9 @@ def quantities(scene: Scene) -> Sequence[Quantity]:
         Quantity("floor_share"),  # of the forces of faces, by the floor stiffness
         *(Quantity(name, "J") for name in joule),
         *(Quantity(name) for name in ("j_min", "j_max", "damage_max", "damage_growth")),
-        *(Quantity(name, counts=True) for name in ("points", "changed_rank", "cuts")),
-        *(
-            Quantity(name, counts=True)
-            for name in ("turns", "newton_iterations", "newton_most", "cg_iterations", "cg_most")
-        ),
+        *(Quantity(name, counts=True) for name in ("points", "changed_rank", *effort)),
         Quantity("residual"),
-        *(
-            Quantity(name, counts=True) for name in degrees(scene)
-        ),  # elements whose weights are exact to so high a degree
+        *(Quantity(name, counts=True) for name in degrees(scene)),  # elements with weights that are exact to a degree
         *(Quantity(f"seconds_{stage}", "s") for stage in STAGES),
         Quantity("seconds", "s"),
         Quantity("memory", "B"),
@@ -84,8 +79,8 @@ def measure(state: State, loads: Loads, settled: Settled, report: DamageReport, 
     """
     scene, there, u = plan.scene, state.placed, settled.displacement
     mesh, solid = there.mesh, settled.solid
-    fixed, values = held_by(scene, mesh, loads.begin, loads.end)
-    loaded = [body_force(there, plan.densities, scene.gravity, load) for load in (loads.begin, loads.end)]
+    fixed, values = held_by(scene, mesh, loads)
+    loaded = [body_force(there, plan, load) for load in (loads.begin, loads.end)]
     held = [there.solid.respond(0 * u).force - loaded[0], solid.respond(u).force - loaded[1]]
     mean = (held[0] + held[1]) / 2
     of_floor = there.floor.respond(u).force if there.floor is not None else np.zeros_like(u)

@@ -58,14 +58,14 @@ def put(columns: Columns, plan: Plan, load: float) -> tuple[Placed, int]:
 def _equilibrium(state: State, loads: Loads, plan: Plan) -> tuple[Settled, DamageReport]:
     """Return where forces balance at the end of a step. Collective; SolverError on all ranks if that is not found."""
     scene, there = plan.scene, state.placed
-    fixed, values = held_by(scene, there.mesh, loads.begin, loads.end)
+    fixed, values = held_by(scene, there.mesh, loads)
     with plan.clock("equilibrium"):
         settled, report = settle(
             there.solid,
             fixed=fixed,
             values=values,
-            even=even_motion(scene, there.mesh, loads.begin, loads.end),
-            load=body_force(there, plan.densities, scene.gravity, loads.end),
+            even=even_motion(scene, there.mesh, loads),
+            load=body_force(there, plan, loads.end),
             tolerance=scene.solver.tolerance,
             damage_tolerance=scene.solver.damage_tolerance,
             most_turns=scene.solver.turns,

@@ -10,15 +10,18 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 import numpy as np
 from pydantic import BeforeValidator, Field, WithJsonSchema, model_validator
 
-from ..errors import HierarchyError, InputError
+from ..errors import InputError
+from ..fem.layouts import MOST_PER_AXIS
 from ..fem.mesh import DEGREES
-from ..mesh.domain import Domain
+from ..fem.points import Weights
+from ..fem.solve import Coarse
 from ..scene.any_scene import AnyScene
 from ..scene.complaints import complaint, complaint_of
+from ..scene.domain import CuboidSection
 from ..scene.output import Files
 from ..scene.parts import SceneParts
 from ..scene.section import Section
-from ..scene.units import Acceleration3, Density, Index3, Length, Length3, Pressure, Toughness
+from ..scene.units import Acceleration3, Density, Index3, Length, Pressure, Toughness
 from .faces import FACES_SCHEMA, Face, faces_of
 from .loads import Loads
 from .materials import MOST_TERMS, Damage, Material, NeoHookean, Ogden
@@ -30,38 +33,23 @@ Faces = Annotated[
 FEWEST_SPACINGS = 2  # of nodes, in the length of a crack's profile
 
 
-class MeshSection(Section):
+class MeshSection(CuboidSection):
     """The cuboid at the start, cut into equal hexahedra."""
 
-    lower: Length3 = Field(description="Lower corner, m.")
-    upper: Length3 = Field(description="Upper corner, m; above the lower one along each axis.")
     cells: Index3 = Field(description="Elements per axis, at least 2.")
     degree: int = Field(default=1, ge=DEGREES[0], le=DEGREES[-1], description="Of the polynomials on an element.")
-
-    @model_validator(mode="after")
-    def _sound(self) -> Self:
-        try:
-            _ = self.value
-        except HierarchyError as refused:
-            raise complaint_of(refused) from None
-        return self
-
-    @property
-    def value(self) -> Domain:
-        """The cuboid."""
-        return Domain(self.lower, self.upper, self.cells)
 
 
 class PointsSection(Section):
     """Where points lie at the start, and how they weigh."""
 
-    per_axis: int = Field(default=4, ge=1, le=32, description="Points along each axis of an element.")
+    per_axis: int = Field(default=4, ge=1, le=MOST_PER_AXIS, description="Points along each axis of an element.")
     layout: Literal["jittered", "uniform", "random", "gauss"] = Field(
         default="jittered",
         description="jittered: one random point in each of per_axis³ parts of an element; uniform: in their middle; random: "
         "anywhere in the element; gauss: those of Gauss's rule.",
     )
-    weights: Literal["moments", "volume"] = Field(
+    weights: Weights = Field(
         default="moments",
         description="moments: weights near the volumes that are exact to the highest degree there is, in elements of one "
         "material, and volumes in others; volume: the volumes.",
@@ -119,7 +107,7 @@ class SolveSection(Section):
     )
     iterations: int = Field(default=30, ge=1, description="Newton iterations of a solve, at most.")
     turns: int = Field(default=60, ge=1, description="Turns between displacement and damage in a step, at most.")
-    coarse: Literal["geometric", "aggregation"] = Field(
+    coarse: Coarse = Field(
         default="geometric", description="What solves degree 1: halves of the elements, or MueLu's aggregates."
     )
 

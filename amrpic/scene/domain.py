@@ -22,11 +22,32 @@ _FACE = {"enum": list(BOUNDARIES)}
 BOUNDARY_SCHEMA = {"anyOf": [_FACE, schema_of(_FACE)]}
 
 
-class DomainSection(Section):
-    """The cuboid that is computed, its base cells and what holds at its faces."""
+class CuboidSection(Section):
+    """A cuboid and its cells."""
 
     lower: Length3 = Field(description="Lower corner, m.")
     upper: Length3 = Field(description="Upper corner, m; above the lower one along each axis.")
+    cells: Index3 = Field(description="Cells per axis, at least 2.")
+
+    @model_validator(mode="after")
+    def _sound(self) -> Self:
+        try:
+            _ = self.value
+        except HierarchyError as refused:
+            raise complaint_of(refused) from None
+        for axis, (lower, upper, cells) in enumerate(zip(self.lower, self.upper, self.cells, strict=True)):
+            _require_measurable(AXES[axis], lower, upper, cells)
+        return self
+
+    @property
+    def value(self) -> Domain:
+        """The domain that hierarchies are made of."""
+        return Domain(self.lower, self.upper, self.cells)
+
+
+class DomainSection(CuboidSection):
+    """The cuboid that is computed, its base cells and what holds at its faces."""
+
     cells: Index3 = Field(description="Base cells per axis, at least 2; any number will do.")
     boundary: Annotated[
         dict[str, tuple[str, str]],
@@ -57,13 +78,8 @@ class DomainSection(Section):
         return {"lower": data.lower, "upper": data.upper, "cells": data.cells, "boundary": boundary}
 
     @model_validator(mode="after")
-    def _sound(self) -> Self:
-        try:
-            domain = self.value
-        except HierarchyError as refused:
-            raise complaint_of(refused) from None
-        for axis, (lower, upper, cells) in enumerate(zip(self.lower, self.upper, self.cells, strict=True)):
-            _require_measurable(AXES[axis], lower, upper, cells)
+    def _faces_fit(self) -> Self:
+        domain = self.value
         if any("open" in pair for pair in domain.boundary) and any(domain.periodic):
             raise complaint(
                 "mixes open and periodic faces, for which there is no method yet",

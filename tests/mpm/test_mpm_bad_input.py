@@ -34,6 +34,7 @@ MISTAKES = {
     'materials.rubber.damage={toughness=1,length="1 mm"}': "damage.length .* is shorter than two distances of nodes, 1 m",
     "domain.degree=5": "domain.degree .*5.* is not less than or equal to 4",
     "domain.cells=1": "domain.* is refused: domain.cells along x is 1; give at least 2",
+    "domain.upper=1e-40": "domain along x reaches from 0 to 1e-40 m, which is 1e-40 m; give it a length from 1e-30",
     'faces.x="glued"': "faces.x.* .*glued.* is no face; use one of slip, clamped, free",
     'faces.w="slip"': "faces.w .* is not an axis; use x, y and z",
     'faces.z=["slip",{press=1.5}]': "press .*1.5.* is no part of the length that goes; give a number between 0 and 1",

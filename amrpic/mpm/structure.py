@@ -80,16 +80,19 @@ class Regions(Structure):
     )
 
     def names(self, materials: Sequence[str]) -> Names:
-        yield "material", materials[0] if self.material is None else self.material
+        yield "material", self._around(materials)
         for number, region in enumerate(self.regions):
             yield f"regions.{number}.material", region.material
 
     def labels(self, places: np.ndarray, corners: Corners, materials: Sequence[str]) -> np.ndarray:
         number = _numbers(materials)
-        out = np.full(len(places), number[materials[0] if self.material is None else self.material])
+        out = np.full(len(places), number[self._around(materials)])
         for region in self.regions:
             out[region.holds(places)] = number[region.material]
         return out
+
+    def _around(self, materials: Sequence[str]) -> str:
+        return materials[0] if self.material is None else self.material
 
 
 class Voronoi(Structure):

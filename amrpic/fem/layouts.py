@@ -26,10 +26,10 @@ def gauss(mesh: Mesh, per_axis: int | None = None) -> Points:
     Operators at degree + 1 points are applied axis by axis, many times as fast as at points anywhere. InputError on all ranks
     for no number of points.
     """
-    count = mesh.degree + 1 if per_axis is None else _checked(mesh, per_axis, 0, "volume")
+    count = mesh.degree + 1 if per_axis is None else _checked(mesh, per_axis)
     place, weight = _native.fem_gauss_rule(count)
     volume = mesh.element_volume * np.einsum("k,j,i->kji", *[weight / 2] * 3).ravel()
-    return _repeated(mesh, _tensor(place), volume, "volume", gauss=count)
+    return _everywhere(mesh, _tensor(place), "volume", volume, count)
 
 
 def uniform(mesh: Mesh, per_axis: int, weights: Weights = "moments") -> Points:
@@ -37,9 +37,8 @@ def uniform(mesh: Mesh, per_axis: int, weights: Weights = "moments") -> Points:
 
     InputError on all ranks for weights that do not exist, or no number of parts.
     """
-    count = _checked(mesh, per_axis, 0, weights)
-    volume = np.full(count**3, mesh.element_volume / count**3)
-    return _repeated(mesh, _tensor((2 * np.arange(count) + 1) / count - 1), volume, weights)
+    count = _checked(mesh, per_axis, weights)
+    return _everywhere(mesh, _tensor((2 * np.arange(count) + 1) / count - 1), weights)
 
 
 def jittered(mesh: Mesh, per_axis: int, seed: int = 1, weights: Weights = "moments") -> Points:
@@ -47,9 +46,9 @@ def jittered(mesh: Mesh, per_axis: int, seed: int = 1, weights: Weights = "momen
 
     InputError on all ranks for weights that do not exist, or no number of parts.
     """
-    count = _checked(mesh, per_axis, seed, weights)
+    count = _checked(mesh, per_axis, weights, seed)
     part = _tensor(np.arange(count)) + _drawn(mesh, count**3, seed)
-    return _spread(mesh, 2 * part / count - 1, weights)
+    return _everywhere(mesh, 2 * part / count - 1, weights)
 
 
 def random(mesh: Mesh, per_axis: int, seed: int = 1, weights: Weights = "moments") -> Points:
@@ -57,8 +56,8 @@ def random(mesh: Mesh, per_axis: int, seed: int = 1, weights: Weights = "moments
 
     InputError on all ranks for weights that do not exist, or no number of points.
     """
-    count = _checked(mesh, per_axis, seed, weights)
-    return _spread(mesh, 2 * _drawn(mesh, count**3, seed) - 1, weights)
+    count = _checked(mesh, per_axis, weights, seed)
+    return _everywhere(mesh, 2 * _drawn(mesh, count**3, seed) - 1, weights)
 
 
 def given(mesh: Mesh, position: ArrayLike, volume: ArrayLike | None = None, weights: Weights = "moments") -> Points:
@@ -98,7 +97,7 @@ def given(mesh: Mesh, position: ArrayLike, volume: ArrayLike | None = None, weig
     return Points(mesh, element, reference[number], own, number, weights)
 
 
-def _checked(mesh: Mesh, per_axis: int, seed: int, weights: str) -> int:
+def _checked(mesh: Mesh, per_axis: int, weights: str = "volume", seed: int = 0) -> int:
     with together(mesh.comm, InputError):
         require_weights(weights)
         try:
@@ -135,9 +134,8 @@ def _tensor(along: np.ndarray) -> np.ndarray:
 
 def _numbers(mesh: Mesh, count: int) -> np.ndarray:
     """Number of each point where every element of the mesh has so many, (elements, count)."""
-    i, j, k = mesh.elements.T.astype(np.int64)
-    nx, ny, _ = mesh.domain.cells
-    return (i + nx * (j + ny * k))[:, None] * count + np.arange(count)
+    element = np.ravel_multi_index(tuple(mesh.elements.T), mesh.domain.cells, order="F")
+    return element[:, None] * count + np.arange(count)
 
 
 def _drawn(mesh: Mesh, count: int, seed: int) -> np.ndarray:
@@ -148,17 +146,12 @@ def _drawn(mesh: Mesh, count: int, seed: int) -> np.ndarray:
     return out[:3].T.reshape(-1, count, 3)
 
 
-def _repeated(mesh: Mesh, places: np.ndarray, volume: np.ndarray, weights: Weights, gauss: int = 0) -> Points:
-    """Points at the same places (n, 3) of every element."""
-    elements, count = len(mesh.elements), len(places)
+def _everywhere(
+    mesh: Mesh, places: np.ndarray, weights: Weights, volume: np.ndarray | None = None, gauss: int = 0
+) -> Points:
+    """Points in every element at places (n, 3), or (elements, n, 3) of their own; without volumes (n,) in m³, of equal ones."""
+    elements, count = len(mesh.elements), places.shape[-2]
     element = np.repeat(np.arange(elements), count)
-    reference, volumes = np.tile(places, (elements, 1)), np.tile(volume, elements)
+    reference = np.broadcast_to(places, (elements, count, 3)).reshape(-1, 3)
+    volumes = np.broadcast_to(mesh.element_volume / count if volume is None else volume, (elements, count)).ravel()
     return Points(mesh, element, reference, volumes, _numbers(mesh, count).ravel(), weights, gauss)
-
-
-def _spread(mesh: Mesh, places: np.ndarray, weights: Weights) -> Points:
-    """Points at places (elements, n, 3) that share their elements equally."""
-    elements, count, _ = places.shape
-    element = np.repeat(np.arange(elements), count)
-    volume = np.full(elements * count, mesh.element_volume / count)
-    return Points(mesh, element, places.reshape(-1, 3), volume, _numbers(mesh, count).ravel(), weights)

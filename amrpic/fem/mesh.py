@@ -88,9 +88,7 @@ class Mesh:
     @cached_property
     def numbers(self) -> np.ndarray:
         """Number of each of this rank's nodes in the whole mesh, x fastest, (n,): the same however it is cut into boxes."""
-        i, j, k = self.node_indices.T.astype(np.int64)
-        nx, ny, _ = self.node_counts
-        return i + nx * (j + ny * k)
+        return np.ravel_multi_index(tuple(self.node_indices.T), tuple(self.node_counts), order="F")
 
     @cached_property
     def nodes(self) -> np.ndarray:

@@ -47,14 +47,11 @@ class Operator:
 
         Its rows are the unknowns of all ranks, rank after rank, in the order of vectors with components side by side.
         """
-        row, column, value = self.native.entries()
-        comm = self.mesh.comm
-        parts = [_gathered(comm, a) for a in (row, column, value)]
-        if comm.rank > 0:
+        row, column, value = (_gathered(self.mesh.comm, entries) for entries in self.native.entries())
+        if self.mesh.comm.rank > 0:
             return None
-        row, column, value = parts
         size = int(self.mesh.node_counts.prod()) * self.components
-        return scipy.sparse.csr_array(scipy.sparse.coo_array((value, (row, column)), shape=(size, size)))
+        return scipy.sparse.csr_array((value, (row, column)), shape=(size, size))
 
 
 def _gathered(comm: MPI.Intracomm, values: np.ndarray) -> np.ndarray:

@@ -161,11 +161,21 @@ class LiveDump(LiveFields, Dump):
     """Fields of a hierarchy, shared by its ranks, as their dump would show them. Values are those of the fields."""
 
     def __init__(
-        self, path: Path, hierarchy: Hierarchy, fields: Mapping[str, Field | VectorField], step: int, time: float
+        self,
+        path: Path,
+        hierarchy: Hierarchy,
+        fields: Mapping[str, Field | VectorField],
+        step: int,
+        time: float,
+        scene_text: str = "{}",
     ) -> None:
         """`path` is that of the dump, whether it is written or not; `time` is in s."""
         super().__init__(hierarchy, {name: field.parts for name, field in fields.items()})
-        self.path, self.step, self.time = Path(path), step, time
+        self.path, self.step, self.time, self._scene_text = Path(path), step, time, scene_text
+
+    @property
+    def scene_text(self) -> str:
+        return self._scene_text
 
     def close(self) -> None:
         """Nothing is open."""

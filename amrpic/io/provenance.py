@@ -18,5 +18,5 @@ class Provenance:
 
     @property
     def scene_text(self) -> str:
-        """The scene as JSON in one line."""
-        return json.dumps(self.scene, sort_keys=True)
+        """The scene as JSON in one line, in its order: that of materials is the order of their numbers."""
+        return json.dumps(self.scene)

@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from matplotlib.colors import Colormap, LinearSegmentedColormap, LogNorm, Normalize, SymLogNorm
+from matplotlib.colors import (
+    BoundaryNorm,
+    Colormap,
+    LinearSegmentedColormap,
+    ListedColormap,
+    LogNorm,
+    Normalize,
+    SymLogNorm,
+)
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -26,6 +34,7 @@ Colouring = tuple[Normalize, Colormap]
 LEVEL_COLOURS = ("#9a9a9a", "#ffffff", "#7fe3ff", "#ffb3de", "#b7f58f", "#ffe08a")  # light: they lie on dark data
 ONE_SIGN = colormaps["inferno"]
 BOTH_SIGNS = LinearSegmentedColormap.from_list("both signs", ["#b9e3ff", "#3d8bc9", "#0b0b14", "#c9553d", "#ffd0b9"])
+OF_KINDS, OF_NONE = colormaps["tab10"], "#808080"  # of what has a number; repeated where there are more
 DECADES = 5  # that a logarithmic scale shows
 DPI = 150
 
@@ -70,6 +79,13 @@ def logarithmic_colours(values: Array) -> Colouring:
     return LogNorm(least, most, clip=True), ONE_SIGN
 
 
+def colours_of_kinds(values: Array, count: int) -> Colouring:
+    """Return norm and colour map of the numbers of so many kinds, and of -1, which is none of them, where there is that."""
+    numbers = range(-1 if np.nanmin(values) < 0 else 0, count)
+    colours = [OF_NONE if number < 0 else OF_KINDS(number % OF_KINDS.N) for number in numbers]
+    return BoundaryNorm(np.arange(numbers.start, count + 1) - 0.5, len(colours)), ListedColormap(colours)
+
+
 def _decades(least: float, most: float) -> list[float]:
     """Return zero and the decades on both sides of it, except those too close to it."""
     decades = 10.0 ** np.arange(np.ceil(np.log10(least)) + 1, np.floor(np.log10(most)) + 1)
@@ -93,21 +109,24 @@ def plane(
     scale: str = "auto",
     boxes: bool = True,
     level: int | None = None,
+    kinds: Sequence[str] = (),
 ) -> Picture:
     """Return a picture of a raster of fields, of the part of it that holds values, with the boxes over it if they are wanted.
 
-    `level` is the only one that the raster shows, None: all. Raises InputError for a scale that does not exist.
+    `level` is the only one that the raster shows, None: all. `kinds`, if there are any, are what values are the numbers of; -1
+    is none of them. Raises InputError for a scale that does not exist.
     """
     if scale not in SCALES:
         raise InputError(f"{scale!r} is no scale of colours; use one of {', '.join(SCALES)}")
     length, length_prefix = prefix_of(fields.reach)
     factor, label = _scaled(symbol, unit, raster.values)
-    norm, colour_map = SCALES[scale](raster.values / factor)
+    values = raster.values / factor
+    norm, colour_map = colours_of_kinds(values, len(kinds)) if kinds else SCALES[scale](values)
     corners = np.stack([raster.lower, raster.upper], axis=1) / length
     extent = _extent(raster) / length
     figure, panel, bar = _canvas(extent)
     image = panel.imshow(
-        (raster.values / factor).T,
+        values.T,
         origin="lower",
         extent=(corners[0, 0], corners[0, 1], corners[1, 0], corners[1, 1]),
         norm=norm,
@@ -125,9 +144,13 @@ def plane(
         ylim=extent[1],
     )
     panel.set_title(title, fontsize="medium")
-    colours = figure.colorbar(image, cax=bar, label=label)
+    colours = figure.colorbar(image, cax=bar, label="" if kinds else label)
     if isinstance(norm, SymLogNorm):
         colours.set_ticks(_decades(norm.linthresh, float(norm.vmax or 1)))
+    if isinstance(norm, BoundaryNorm):
+        numbers = (norm.boundaries[:-1] + 0.5).astype(int)
+        colours.set_ticks(numbers.tolist(), labels=[("none", *kinds)[number + 1] for number in numbers], minor=False)
+        colours.minorticks_off()
     if boxes:
         # Outside: every place in the panel may hold a bunch. On dark ground, as the light lines need it.
         figure.legend(

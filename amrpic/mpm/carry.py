@@ -5,17 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from ..fem import Mesh
-from ..fem.points import Weights
 from .material_points import MaterialPoints, migrate, placed, require_inside
 from .solid import Solid
 
 
-def moved(
-    solid: Solid, u: np.ndarray, body: np.ndarray | slice = slice(None), initial_volume: np.ndarray | None = None
-) -> MaterialPoints:
-    """Return the points of a solid, or some of them, after a displacement (nodes, 3) in m: x + u, (1 + ∇u) F. Collective.
+def moved(solid: Solid, u: np.ndarray, body: np.ndarray | slice, initial_volume: np.ndarray) -> MaterialPoints:
+    """Return the points `body` of a solid after a displacement (nodes, 3) in m: x + u, (1 + ∇u) F. Collective.
 
-    Damage and driving energy are those that the solid has.
+    Damage and driving energy are those that the solid has; initial volumes (n,) in m³ are given.
     """
     points = solid.points
     position = points.position
@@ -25,18 +22,18 @@ def moved(
         points.number[body].astype(np.int64, copy=False),
         solid.material[body],
         solid.displaced(u)[body],
-        (points.volume / solid.j)[body] if initial_volume is None else initial_volume,
+        initial_volume,
         solid.damage[body],
         solid.driving[body],
     )
 
 
-def carried(solid: Solid, u: np.ndarray, mesh: Mesh, *, weights: Weights = "moments") -> Solid:
+def carried(solid: Solid, u: np.ndarray, mesh: Mesh) -> Solid:
     """Return the solid after a displacement, (nodes, 3) in m, on a mesh that has none. Collective.
 
     Points move by u to the ranks of their elements, and have F and volumes from there on; damage and driving energy stay.
     Raises on all ranks ParticleError for points that are outside the mesh, InputError for elements with too few.
     """
-    columns = moved(solid, u).columns()
+    columns = moved(solid, u, slice(None), solid.points.volume / solid.j).columns()
     require_inside(columns, mesh, 1.0)
-    return placed(migrate(columns, mesh)[0], mesh, list(solid.materials), weights).solid
+    return placed(migrate(columns, mesh)[0], mesh, list(solid.materials), "moments").solid

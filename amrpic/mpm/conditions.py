@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from ..fem import Mesh
-from ..mesh.domain import AXES
+from .loads import Loads
 from .material_points import Placed
 from .scene import Scene
+from .state import Plan
 
 
 def nodes_of(mesh: Mesh, axis: int, side: int) -> np.ndarray:
@@ -18,16 +17,15 @@ def nodes_of(mesh: Mesh, axis: int, side: int) -> np.ndarray:
     return at == (mesh.node_counts[axis] - 1 if side else 0)
 
 
-def held_by(scene: Scene, mesh: Mesh, begin: float, end: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return what faces fix of nodes while the load goes from one part to another: a mask, and displacements in m. Local.
+def held_by(scene: Scene, mesh: Mesh, loads: Loads) -> tuple[np.ndarray, np.ndarray]:
+    """Return what faces fix of nodes in a step of the load: a mask, and displacements in m. Local.
 
-    Both (nodes, 3); the mesh is that of the begin.
+    Both (nodes, 3); the mesh is that of the step's begin.
     """
-    before, after = scene.extent(begin), scene.extent(end)
+    before, after = scene.extent(loads.begin), scene.extent(loads.end)
     fixed = np.zeros((len(mesh.node_indices), 3), dtype=bool)
     values = np.zeros(fixed.shape)
-    for name, pair in scene.faces.items():
-        axis = AXES.index(name)
+    for axis, pair in enumerate(scene.faces.values()):
         for side, face in enumerate(pair):
             on = nodes_of(mesh, axis, side)
             if face.kind == "clamped":
@@ -38,21 +36,21 @@ def held_by(scene: Scene, mesh: Mesh, begin: float, end: float) -> tuple[np.ndar
     return fixed, values
 
 
-def body_force(there: Placed, densities: Sequence[float], gravity: Sequence[float], load: float) -> np.ndarray:
+def body_force(there: Placed, plan: Plan, load: float) -> np.ndarray:
     """Return the forces of gravity on nodes at a part of the load, (nodes, 3) in N: of points' masses. Collective."""
     points, whole = there.points, there.solid.points
-    if not any(gravity):
+    if not any(plan.scene.gravity):
         return np.zeros((len(there.mesh.node_indices), 3))
-    density = np.array(densities)[points.material]
+    density = np.array(plan.densities)[points.material]
     force = np.zeros((len(whole), 3))
     mass_per_weight = density * points.initial_volume / whole.weight[there.body]
-    force[there.body] = mass_per_weight[:, None] * np.array(gravity) * load
+    force[there.body] = mass_per_weight[:, None] * np.array(plan.scene.gravity) * load
     return whole.integrate(force)
 
 
-def even_motion(scene: Scene, mesh: Mesh, begin: float, end: float) -> np.ndarray:
+def even_motion(scene: Scene, mesh: Mesh, loads: Loads) -> np.ndarray:
     """Return the displacement in m, (nodes, 3), of a mesh that follows its faces evenly; where held, it is theirs. Local."""
-    (lower, upper), (to_lower, to_upper) = scene.extent(begin), scene.extent(end)
+    (lower, upper), (to_lower, to_upper) = scene.extent(loads.begin), scene.extent(loads.end)
     part = (mesh.nodes - lower) / (upper - lower)
-    fixed, values = held_by(scene, mesh, begin, end)
+    fixed, values = held_by(scene, mesh, loads)
     return np.where(fixed, values, (1 - part) * (to_lower - lower) + part * (to_upper - upper))

@@ -9,28 +9,24 @@ from pydantic import Field, model_serializer, model_validator
 
 from ..mesh.domain import AXES
 from ..scene.complaints import close_match, complaint
+from ..scene.per_face import pairs_of, schema_of
 from ..scene.section import Section
 
 KINDS = ("slip", "clamped", "free")
-MOVES = {"press": -1, "pull": 1}
-SIDES = ("lower", "upper")
-
-
+MOVES = {  # sign, limit, what a wrong part is none of, and what a right one is
+    "press": (-1, 1, "that goes", "number between 0 and 1"),
+    "pull": (1, 100, "that comes", "positive number"),
+}
 _PART = {"type": "number", "exclusiveMinimum": 0}
-_FACE = {
-    "anyOf": [
-        {"enum": list(KINDS)},
-        {"type": "object", "properties": {"press": {**_PART, "exclusiveMaximum": 1}}, "required": ["press"]},
-        {"type": "object", "properties": {"pull": _PART}, "required": ["pull"]},
-    ]
-}
-FACES_SCHEMA = {
-    "type": "object",
-    "properties": {
-        axis: {"anyOf": [_FACE, {"type": "array", "items": _FACE, "minItems": 2, "maxItems": 2}]} for axis in AXES
-    },
-    "additionalProperties": False,
-}
+FACES_SCHEMA = schema_of(
+    {
+        "anyOf": [
+            {"enum": list(KINDS)},
+            {"type": "object", "properties": {"press": {**_PART, "exclusiveMaximum": 1}}, "required": ["press"]},
+            {"type": "object", "properties": {"pull": _PART}, "required": ["pull"]},
+        ]
+    }
+)
 
 
 class Face(Section):
@@ -48,18 +44,10 @@ class Face(Section):
             return {"kind": data}
         if isinstance(data, Mapping) and len(data) == 1 and set(data) <= set(MOVES):
             ((name, part),) = data.items()
-            if (
-                isinstance(part, bool)
-                or not isinstance(part, int | float)
-                or not 0 < part < (1 if name == "press" else 100)
-            ):
-                raise complaint(
-                    "is no part of the length that goes" if name == "press" else "is no part of the length that comes",
-                    "give a number between 0 and 1" if name == "press" else "give a positive number",
-                    path=name,
-                    found=part,
-                )
-            return {"change": MOVES[name] * part}
+            sign, limit, what, remedy = MOVES[name]
+            if isinstance(part, bool) or not isinstance(part, int | float) or not 0 < part < limit:
+                raise complaint(f"is no part of the length {what}", f"give a {remedy}", path=name, found=part)
+            return {"change": sign * part}
         if isinstance(data, Mapping) and not set(data) <= set(cls.model_fields):
             raise complaint(
                 "is no face", f"use {', '.join(KINDS)}, {{ press = 0.3 }} or {{ pull = 0.1 }}", found=dict(data)
@@ -77,12 +65,5 @@ def faces_of(data: Any) -> Any:
     """Return faces per axis as pairs; axes that are not there are free."""
     if not isinstance(data, Mapping):
         raise complaint("are no faces", 'write one or a pair per axis, such as { x = "slip", z = ["clamped", "free"] }')
-    for axis in data:
-        if axis not in AXES:
-            raise complaint("is not an axis", "use x, y and z", path=str(axis), found=data[axis])
-    pairs = {axis: data.get(axis, "free") for axis in AXES}
-    out = {axis: tuple(one) if isinstance(one, list | tuple) else (one, one) for axis, one in pairs.items()}
-    for axis, pair in out.items():
-        if len(pair) != 2:
-            raise complaint("does not fit the two faces of an axis", "write one or a pair", path=axis, found=data[axis])
-    return out
+    pairs = pairs_of(data)
+    return {axis: pairs.get(axis, ("free", "free")) for axis in AXES}

@@ -87,7 +87,8 @@ class Ogden:
         _require(self.mu > 0, f"the shear modulus of Ogden's terms, Σ μ α / 2, is {self.mu} Pa; it must be positive")
         _require(
             math.isfinite(self.lame) and self.lame + 2 / 3 * self.mu > 0,
-            f"λ is {self.lame} Pa: with a shear modulus of {self.mu} Pa the bulk modulus is not positive",
+            f"λ is {self.lame} Pa: with a shear modulus of {self.mu} Pa the bulk modulus is not positive; give more than "
+            f"{-2 / 3 * self.mu:g} Pa",
         )
 
     @property

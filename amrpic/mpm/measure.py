@@ -7,11 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from mpi4py import MPI
 
-from ..mesh.domain import AXES
+from ..mesh.domain import AXES, FACES
 from ..units import Quantity
 from .conditions import body_force, held_by, nodes_of
 from .damage import DamageReport, Settled
-from .faces import SIDES
 from .loads import Loads
 from .material_points import Placed
 from .scene import Scene
@@ -19,7 +18,6 @@ from .solid import Solid
 from .state import Plan, State
 
 STAGES = ("sample", "migrate", "weigh", "equilibrium", "output")
-FACES = tuple(f"{axis}_{side}" for axis in AXES for side in SIDES)
 
 
 def quantities(scene: Scene) -> Sequence[Quantity]:
@@ -35,6 +33,7 @@ def quantities(scene: Scene) -> Sequence[Quantity]:
         "gap",  # work less what is stored and dissipated
         "unbalanced",  # of that, what forces out of balance let go: those of points on a new mesh, where elements change
     ]
+    effort = ("cuts", "turns", "newton_iterations", "newton_most", "cg_iterations", "cg_most")
     return (
         Quantity("step", counts=True),
         Quantity("load"),
@@ -43,15 +42,9 @@ def quantities(scene: Scene) -> Sequence[Quantity]:
         Quantity("floor_share"),  # of the forces of faces, by the floor stiffness
         *(Quantity(name, "J") for name in joule),
         *(Quantity(name) for name in ("j_min", "j_max", "damage_max", "damage_growth")),
-        *(Quantity(name, counts=True) for name in ("points", "changed_rank", "cuts")),
-        *(
-            Quantity(name, counts=True)
-            for name in ("turns", "newton_iterations", "newton_most", "cg_iterations", "cg_most")
-        ),
+        *(Quantity(name, counts=True) for name in ("points", "changed_rank", *effort)),
         Quantity("residual"),
-        *(
-            Quantity(name, counts=True) for name in degrees(scene)
-        ),  # elements whose weights are exact to so high a degree
+        *(Quantity(name, counts=True) for name in degrees(scene)),  # elements with weights that are exact to a degree
         *(Quantity(f"seconds_{stage}", "s") for stage in STAGES),
         Quantity("seconds", "s"),
         Quantity("memory", "B"),
@@ -68,35 +61,30 @@ def at_rest(there: Placed, plan: Plan) -> dict[str, float]:
     """Return what points by themselves say. Collective."""
     points, comm = there.points, plan.comm
     j = points.j
-    least, most = (
-        comm.allreduce(float(j.min(initial=np.inf)), MPI.MIN),
-        comm.allreduce(float(j.max(initial=0)), MPI.MAX),
-    )
     exact = there.weighed.exactness()
     return {
         "points": comm.allreduce(len(points)),
-        "j_min": least,
-        "j_max": most,
+        "j_min": comm.allreduce(float(j.min(initial=np.inf)), MPI.MIN),
+        "j_max": comm.allreduce(float(j.max(initial=0)), MPI.MAX),
         "damage_max": comm.allreduce(float(points.damage.max(initial=0)), MPI.MAX),
         **{name: exact.get(number - 1, 0) for number, name in enumerate(degrees(plan.scene))},
     }
 
 
-def measure(
-    state: State, loads: Loads, settled: Settled, report: DamageReport, plan: Plan
-) -> tuple[dict[str, float], dict[str, float]]:
-    """Return the row of a step that led from a state to equilibrium, and work since the start. Collective.
+def measure(state: State, loads: Loads, settled: Settled, report: DamageReport, plan: Plan) -> dict[str, float]:
+    """Return the row of a step that led from a state to equilibrium. Collective.
 
-    Work is by the mean of forces before and after the step; forces before it are those of the points on the present mesh.
+    Work is since the start, by the mean of forces before and after a step; forces before it are those of the points on the
+    present mesh.
     """
     scene, there, u = plan.scene, state.placed, settled.displacement
     mesh, solid = there.mesh, settled.solid
-    fixed, values = held_by(scene, mesh, loads.begin, loads.end)
-    loaded = [body_force(there, plan.densities, scene.gravity, load) for load in (loads.begin, loads.end)]
+    fixed, values = held_by(scene, mesh, loads)
+    loaded = [body_force(there, plan, load) for load in (loads.begin, loads.end)]
     held = [there.solid.respond(0 * u).force - loaded[0], solid.respond(u).force - loaded[1]]
     mean = (held[0] + held[1]) / 2
     of_floor = there.floor.respond(u).force if there.floor is not None else np.zeros_like(u)
-    faces = [(AXES.index(name[0]), nodes_of(mesh, AXES.index(name[0]), SIDES.index(name[2:]))) for name in FACES]
+    faces = [(axis, nodes_of(mesh, axis, side)) for axis in range(3) for side in range(2)]  # in the order of FACES
     materials = len(scene.materials)
     total = _summed(
         plan.comm,
@@ -114,13 +102,13 @@ def measure(
     stored, dissipated = total["stored"], total["dissipated"]
     names = [*(f"work_{face}" for face in FACES), "work_gravity", "unbalanced"]
     done = zip(names, [*total["work"], *total["unbalanced"]], strict=True)
-    totals = {name: state.totals.get(name, 0.0) + float(value) for name, value in done}
+    totals = {name: state.measured.get(name, 0.0) + float(value) for name, value in done}
     all_work = sum(totals[name] for name in names[:-1])
     newton = [one.iterations for one in report.equilibria]
     cg = [count for one in report.equilibria for count in one.gradients]
     before, after = scene.extent(0.0), scene.extent(loads.end)
     shorter = (before[1] - before[0]) - (after[1] - after[0])
-    row = {
+    return {
         "load": loads.end,
         **{f"travel_{axis}": float(shorter[d]) for d, axis in enumerate(AXES)},
         **{f"force_{face}": float(value) for face, value in zip(FACES, total["force"], strict=True)},
@@ -140,7 +128,6 @@ def measure(
         "cg_most": max(cg, default=0),
         "residual": report.residuals[-1],
     }
-    return row, totals
 
 
 def _summed(comm: MPI.Comm, **parts: Sequence[float] | np.ndarray) -> dict[str, np.ndarray]:

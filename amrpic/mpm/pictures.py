@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ..io import time_series
-from ..mesh.domain import AXES
+from ..mesh.domain import AXES, FACES
 from ..results.run_results import SERIES
 from ..units import prefix_of
 from ..view.plot import save
@@ -25,18 +25,16 @@ def draw_forces(folder: Path, into: Path) -> list[Path]:
     if len(rows) == 0:
         return []
     moving = [axis for axis in AXES if rows[f"travel_{axis}"].any()]
+    forces = {face: rows[f"force_{face}"] for face in FACES if face[0] in moving or not moving}
+    newton, letter = prefix_of(float(max(abs(force).max() for force in forces.values())))
+    metre, prefix = prefix_of(float(max(abs(rows[f"travel_{axis}"]).max() for axis in AXES)))
     figure = Figure(figsize=(6, 4), layout="constrained")
     panel = figure.subplots()
-    largest = max(abs(rows[f"force_{axis}_{side}"]).max() for axis in moving or AXES for side in ("lower", "upper"))
-    newton, letter = prefix_of(float(largest))
-    for axis in moving or AXES:
-        over = rows[f"travel_{axis}"] if moving else 100 * rows["load"]
-        length, metre = prefix_of(float(abs(over).max())) if moving else (1.0, "")
-        for side, style in (("lower", "o-"), ("upper", "x--")):
-            force = rows[f"force_{axis}_{side}"]
-            if force.any():
-                panel.plot(over / length, force / newton, style, label=f"{axis} {side}")
-        panel.set_xlabel(f"travel / {metre}m" if moving else "part of the load / %")
+    for face, force in forces.items():
+        over = rows[f"travel_{face[0]}"] / metre if moving else 100 * rows["load"]
+        if force.any():
+            panel.plot(over, force / newton, "o-" if face.endswith("lower") else "x--", label=face.replace("_", " "))
+    panel.set_xlabel(f"travel / {prefix}m" if moving else "part of the load / %")
     panel.set_ylabel(f"force of a face on the body, along its axis / {letter}N")
     if panel.lines:
         panel.legend()

@@ -86,5 +86,5 @@ def _pictures(plan: Plan, state: State) -> list[str]:
     scene, hierarchy = plan.scene, state.placed.mesh.hierarchy
     path, means = scene.directory / FILE, element_means(state, scene)
     vtkhdf_writer.write(path, hierarchy, means, 0, 0.0, about(scene), writers_of(scene))
-    dump = LiveDump(path, hierarchy, means, 0, 0.0)
+    dump = LiveDump(path, hierarchy, means, 0, 0.0, about(scene).scene_text)
     return list(map(str, [path, *draw(dump, path.parent, [View("material", axis=axis) for axis in range(3)])]))

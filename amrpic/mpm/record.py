@@ -38,7 +38,7 @@ class Recorder:
     def __init__(self, state: State, plan: Plan, resumed: bool, log: Log = "print") -> None:
         scene = plan.scene
         self._comm, self._scene, self._plan = plan.comm, scene, plan
-        self._wanted, self._about = set(scene.output.write), about(scene)
+        self._wanted, self._about, self._writers = set(scene.output.write), about(scene), writers_of(scene)
         self._written: dict[str, int] = {}
         self._since = time.perf_counter()
         earlier = None if resumed or not self._wanted else set_aside(plan.comm, scene.directory)
@@ -129,25 +129,15 @@ class Recorder:
     def _write_fields(self, state: State) -> None:
         directory = self._scene.directory
         path = vtkhdf_writer.path_of(directory, state.step)
-        vtkhdf_writer.write(
-            path,
-            state.placed.mesh.hierarchy,
-            element_means(state, self._scene),
-            state.step,
-            state.load,
-            self._about,
-            writers_of(self._scene),
-        )
+        hierarchy, means = state.placed.mesh.hierarchy, element_means(state, self._scene)
+        vtkhdf_writer.write(path, hierarchy, means, state.step, state.load, self._about, self._writers)
         vtkhdf_writer.list_time(self._comm, directory, state.step, state.load)
 
     def _write_points(self, state: State) -> None:
         directory, kind = self._scene.directory, points_writer.KIND
         path = vtkhdf_writer.path_of(directory, state.step, kind)
-        values, units = point_values(state)
-        position = state.placed.points.position
-        points_writer.write(
-            self._comm, path, position, values, units, state.step, state.load, self._about, writers_of(self._scene)
-        )
+        place, (values, units) = state.placed.points.position, point_values(state)
+        points_writer.write(self._comm, path, place, values, units, state.step, state.load, self._about, self._writers)
         vtkhdf_writer.list_time(self._comm, directory, state.step, state.load, kind)
 
     def _write_checkpoint(self, state: State) -> None:
@@ -155,14 +145,15 @@ class Recorder:
             self._series.sync()  # a restart from the checkpoint relies on the rows before it
         directory, output = self._scene.directory, self._scene.output
         path = checkpoint_writer.path_of(directory, state.step)
-        checkpoint_writer.write(self._comm, path, snapshot(state, self._plan), writers_of(self._scene))
+        checkpoint_writer.write(self._comm, path, snapshot(state, self._plan), self._writers)
         checkpoint_writer.prune(self._comm, directory, output.keep, output.keep_every * output.checkpoint_every)
 
     def _draw(self, state: State) -> None:
         """Draw what a field dump of a state shows, or would show, and forces over travel."""
         path = vtkhdf_writer.path_of(self._scene.directory, state.step)
-        means = element_means(state, self._scene)
-        draw(LiveDump(path, state.placed.mesh.hierarchy, means, state.step, state.load), path.parent, OF_POINTS)
+        hierarchy, means = state.placed.mesh.hierarchy, element_means(state, self._scene)
+        dump = LiveDump(path, hierarchy, means, state.step, state.load, self._about.scene_text)
+        draw(dump, path.parent, OF_POINTS)
         with together(self._comm, OutputError):
             if self._comm.rank == 0 and self._series is not None:
                 from .pictures import draw_forces  # matplotlib takes long to import, and no other rank needs it

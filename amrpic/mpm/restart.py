@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from mpi4py import MPI
 
@@ -12,13 +10,13 @@ from ..errors import InputError
 from ..io.checkpoint_manifest import Header
 from ..io.checkpoint_reader import read, read_manifest
 from ..io.checkpoint_writer import Snapshot
-from ..run.restart import about
+from ..run.restart import about, require_same
 from ..scene.differences import differences
 from .scene import Scene
 from .state import Plan, State
 from .step import put
 
-FIXED = ("domain", "faces")  # parts of a scene that a restart must keep
+FIXED = ("domain", "faces", "materials")  # parts of a scene that a restart must keep; of materials the names
 
 
 def snapshot(state: State, plan: Plan) -> Snapshot:
@@ -35,7 +33,7 @@ def snapshot(state: State, plan: Plan) -> Snapshot:
             "materials": list(scene.materials),  # in their order, which the scene in a manifest has lost
             "begin": state.loads.begin,
             "length": state.loads.length,
-            "totals": dict(state.totals),
+            "measured": dict(state.measured),
         },
     )
     return Snapshot(header, tables={"points": state.placed.points.columns()})
@@ -53,26 +51,14 @@ def load(comm: MPI.Comm, path: Path, scene: Scene | None = None) -> tuple[State,
         raise InputError(
             f"checkpoint {path} is of a particle-in-cell run; go on from it by such a scene, or start afresh"
         )
-    made_by = {**made_by, "materials": {name: made_by["materials"][name] for name in header.extra["materials"]}}
+    materials = header.extra["materials"]
+    made_by = {**made_by, "materials": {name: made_by["materials"][name] for name in materials}}
     scene = scene if scene is not None else Scene.from_dict(made_by, source=f"the scene in {path}")
-    _require_same(scene, made_by, path)
+    now = {**scene.to_dict(), "materials": list(scene.materials)}
+    before = {**made_by, "materials": materials}
+    require_same(scene, path, (one for part in FIXED for one in differences(now[part], before[part], part)))
     plan = Plan(comm, scene)
     held, extra = read(comm, path, manifest=manifest), header.extra
     loads = scene.schedule.loads(extra["begin"], extra["length"])
     there, _ = put(dict(held.tables["points"]), plan, loads.begin)
-    return State(header.step, loads, there, extra["totals"]), plan
-
-
-def _require_same(scene: Scene, made_by: Mapping[str, Any], path: Path) -> None:
-    """Raise InputError unless a scene has the domain, faces and materials of a checkpoint."""
-    now, before = scene.to_dict(), made_by
-    changed = [one for part in FIXED for one in differences(now[part], before[part], part)]
-    names = list(now["materials"]), list(before["materials"])
-    if names[0] != names[1]:
-        changed.append(("the list of materials", *names))
-    if changed:
-        key, value, was = changed[0]
-        raise InputError(
-            f"{scene.name} cannot go on from checkpoint {path}: {key} is {value} instead of {was}; restore that, or start "
-            "afresh in another folder"
-        )
+    return State(header.step, loads, there, extra["measured"]), plan

@@ -10,18 +10,21 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 import numpy as np
 from pydantic import BeforeValidator, Field, WithJsonSchema, model_validator
 
-from ..errors import HierarchyError
+from ..errors import InputError
+from ..fem.layouts import MOST_PER_AXIS
 from ..fem.mesh import DEGREES
-from ..mesh.domain import Domain
+from ..fem.points import Weights
+from ..fem.solve import Coarse
 from ..scene.any_scene import AnyScene
-from ..scene.complaints import complaint
+from ..scene.complaints import complaint, complaint_of
+from ..scene.domain import CuboidSection
 from ..scene.output import Files
 from ..scene.parts import SceneParts
 from ..scene.section import Section
-from ..scene.units import Acceleration3, Density, Index3, Length, Length3, Pressure, Toughness
+from ..scene.units import Acceleration3, Density, Index3, Length, Pressure, Toughness
 from .faces import FACES_SCHEMA, Face, faces_of
 from .loads import Loads
-from .materials import Damage, Material, NeoHookean, Ogden
+from .materials import MOST_TERMS, Damage, Material, NeoHookean, Ogden
 from .structure import EMPTY, Regions, Voronoi, Voxels
 
 Faces = Annotated[
@@ -30,43 +33,23 @@ Faces = Annotated[
 FEWEST_SPACINGS = 2  # of nodes, in the length of a crack's profile
 
 
-class MeshSection(Section):
+class MeshSection(CuboidSection):
     """The cuboid at the start, cut into equal hexahedra."""
 
-    lower: Length3 = Field(description="Lower corner, m.")
-    upper: Length3 = Field(description="Upper corner, m; above the lower one along each axis.")
     cells: Index3 = Field(description="Elements per axis, at least 2.")
-    degree: int = Field(default=1, description="Of the polynomials on an element, 1 to 4.")
-
-    @model_validator(mode="after")
-    def _sound(self) -> Self:
-        if self.degree not in DEGREES:
-            raise complaint("is no degree of elements", "use 1, 2, 3 or 4", path="degree", found=self.degree)
-        try:
-            Domain(self.lower, self.upper, self.cells, "dirichlet")
-        except HierarchyError as refused:
-            what, _, remedy = str(refused).partition("; ")
-            raise complaint(f"is refused: {what}", remedy, found="") from None
-        if min(self.cells) < 2:
-            raise complaint("are too few elements", "use at least 2 along each axis", path="cells", found=self.cells)
-        return self
-
-    @property
-    def spacing(self) -> np.ndarray:
-        """Widths of an element, (3,) in m."""
-        return (np.array(self.upper) - self.lower) / self.cells
+    degree: int = Field(default=1, ge=DEGREES[0], le=DEGREES[-1], description="Of the polynomials on an element.")
 
 
 class PointsSection(Section):
     """Where points lie at the start, and how they weigh."""
 
-    per_axis: int = Field(default=4, ge=1, le=32, description="Points along each axis of an element.")
+    per_axis: int = Field(default=4, ge=1, le=MOST_PER_AXIS, description="Points along each axis of an element.")
     layout: Literal["jittered", "uniform", "random", "gauss"] = Field(
         default="jittered",
         description="jittered: one random point in each of per_axis³ parts of an element; uniform: in their middle; random: "
         "anywhere in the element; gauss: those of Gauss's rule.",
     )
-    weights: Literal["moments", "volume"] = Field(
+    weights: Weights = Field(
         default="moments",
         description="moments: weights near the volumes that are exact to the highest degree there is, in elements of one "
         "material, and volumes in others; volume: the volumes.",
@@ -124,7 +107,7 @@ class SolveSection(Section):
     )
     iterations: int = Field(default=30, ge=1, description="Newton iterations of a solve, at most.")
     turns: int = Field(default=60, ge=1, description="Turns between displacement and damage in a step, at most.")
-    coarse: Literal["geometric", "aggregation"] = Field(
+    coarse: Coarse = Field(
         default="geometric", description="What solves degree 1: halves of the elements, or MueLu's aggregates."
     )
 
@@ -164,7 +147,7 @@ class OgdenSection(Section):
     """Ogden's solid, of up to three terms."""
 
     law: Literal["ogden"] = "ogden"
-    terms: list[OgdenTerm] = Field(min_length=1, max_length=3, description="Its terms.")
+    terms: list[OgdenTerm] = Field(min_length=1, max_length=MOST_TERMS, description="Its terms.")
     lame: Pressure = Field(description="λ, Pa.")
     density: Density = Field(default=0.0, ge=0, description="Mass per initial volume, kg/m³.")
 
@@ -172,13 +155,10 @@ class OgdenSection(Section):
 
     @model_validator(mode="after")
     def _sound(self) -> Self:
-        from ..errors import InputError
-
         try:
             _ = self.value
         except InputError as refused:
-            what, _, remedy = str(refused).partition("; ")
-            raise complaint(f"is refused: {what}", remedy or "change the moduli", found="") from None
+            raise complaint_of(refused) from None
         return self
 
     @property
@@ -235,8 +215,6 @@ class Scene(AnyScene):
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
         self._require_materials()
-        if all(face.kind == "free" for pair in self.faces.values() for face in pair):
-            raise complaint("hold nothing, so the body can go anywhere", 'make one "slip" or "clamped"', path="faces")
         clamped = any(face.kind == "clamped" for pair in self.faces.values() for face in pair)
         for axis, pair in self.faces.items():
             if not clamped and all(face.kind == "free" for face in pair):
@@ -249,7 +227,7 @@ class Scene(AnyScene):
         for name, material in self.materials.items():
             if material.damage is None:
                 continue
-            nodes = self.domain.spacing / self.domain.degree
+            nodes = self.domain.value.spacing / self.domain.degree
             if material.damage.length < FEWEST_SPACINGS * (1 - 1e-9) * nodes.max():
                 raise complaint(
                     f"is shorter than two distances of nodes, {FEWEST_SPACINGS * nodes.max():g} m",
@@ -280,11 +258,6 @@ class Scene(AnyScene):
         if isinstance(structure, dict) and isinstance(structure.get("file"), str):
             structure["file"] = str(folder / structure["file"])
 
-    @property
-    def moves(self) -> bool:
-        """Whether a face does."""
-        return any(face.change != 0 for pair in self.faces.values() for face in pair)
-
     def extent(self, load: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the corners of the mesh at a part of the load, each (3,) in m."""
         lower, upper = np.array(self.domain.lower), np.array(self.domain.upper)
@@ -308,12 +281,10 @@ class Scene(AnyScene):
 
     def remarks(self) -> list[str]:
         """Return one sentence for each thing that is legal and yet may not be meant."""
-        out = []
         used = {name for _, name in self.structure.names(list(self.materials))}
-        for name in self.materials:
-            if name not in used:
-                out.append(f"materials.{name} is nowhere in the structure")
-        if not self.moves and not any(self.gravity):
+        out = [f"materials.{name} is nowhere in the structure" for name in self.materials if name not in used]
+        moves = any(face.change != 0 for pair in self.faces.values() for face in pair)
+        if not moves and not any(self.gravity):
             out.append("nothing loads the body: no face moves, and there is no gravity")
         if any(self.gravity) and all(material.density == 0 for material in self.materials.values()):
             out.append("gravity acts on nothing, since no material has a density")

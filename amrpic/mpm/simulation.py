@@ -8,7 +8,7 @@ from typing import Self
 
 from mpi4py import MPI
 
-from ..errors import InputError, ParticleError, SolverError
+from ..errors import InputError, SolverError
 from ..io import checkpoint_writer
 from ..parallel import world_by_default
 from ..results.run_results import Results
@@ -93,7 +93,7 @@ class Simulation:
                     return reason
                 try:
                     self.advance()
-                except (SolverError, ParticleError, InputError):
+                except (SolverError, InputError):
                     record.failed(self.state)
                     raise
                 self._record(record)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from mpi4py import MPI
 
@@ -32,8 +32,7 @@ class State:
     step: int
     loads: Loads  # how far the load is, and what follows
     placed: Placed
-    totals: Mapping[str, float] = field(default_factory=dict)  # work per face and of gravity since the start, J
-    measured: Mapping[str, float] = field(default_factory=dict)  # what the series says of the step that led here
+    measured: Mapping[str, float]  # what the series says of the step that led here
 
     @property
     def load(self) -> float:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from ..errors import ParticleError, SolverError
 from .carry import moved
 from .conditions import body_force, even_motion, held_by
@@ -21,7 +19,7 @@ def begin(plan: Plan) -> State:
     with plan.clock("sample"):
         columns = sample(scene, mesh).columns()
     there, _ = put(columns, plan, 0.0)
-    return replace(State(0, scene.schedule.loads(), there), measured=at_rest(there, plan))
+    return State(0, scene.schedule.loads(), there, at_rest(there, plan))
 
 
 def advance(state: State, plan: Plan) -> State:
@@ -33,14 +31,14 @@ def advance(state: State, plan: Plan) -> State:
     while True:
         try:
             settled, report = _equilibrium(state, loads, plan)
-            measured, totals = measure(state, loads, settled, report, plan)
+            measured = measure(state, loads, settled, report, plan)
             solid, u, body = settled.solid, settled.displacement, state.placed.body
             there, came = put(moved(solid, u, body, points.initial_volume).columns(), plan, loads.end)
             break
         except (SolverError, ParticleError) as why:  # a large step may fold the mesh between points: some are outside
             loads, cuts = loads.cut(str(why)), cuts + 1
     measured |= {"cuts": cuts, "changed_rank": plan.comm.allreduce(came)} | at_rest(there, plan)
-    return State(state.step + 1, loads.taken(report.most_iterations, report.growth), there, totals, measured)
+    return State(state.step + 1, loads.taken(report.most_iterations, report.growth), there, measured)
 
 
 def put(columns: Columns, plan: Plan, load: float) -> tuple[Placed, int]:
@@ -60,14 +58,14 @@ def put(columns: Columns, plan: Plan, load: float) -> tuple[Placed, int]:
 def _equilibrium(state: State, loads: Loads, plan: Plan) -> tuple[Settled, DamageReport]:
     """Return where forces balance at the end of a step. Collective; SolverError on all ranks if that is not found."""
     scene, there = plan.scene, state.placed
-    fixed, values = held_by(scene, there.mesh, loads.begin, loads.end)
+    fixed, values = held_by(scene, there.mesh, loads)
     with plan.clock("equilibrium"):
         settled, report = settle(
             there.solid,
             fixed=fixed,
             values=values,
-            even=even_motion(scene, there.mesh, loads.begin, loads.end),
-            load=body_force(there, plan.densities, scene.gravity, loads.end),
+            even=even_motion(scene, there.mesh, loads),
+            load=body_force(there, plan, loads.end),
             tolerance=scene.solver.tolerance,
             damage_tolerance=scene.solver.damage_tolerance,
             most_turns=scene.solver.turns,

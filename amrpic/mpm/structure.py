@@ -17,6 +17,7 @@ from ..scene.section import Section
 from ..scene.units import Length, Length3
 
 EMPTY = "empty"  # where there is no material, and no point
+JOINT = 0.12  # width of joints between grains, over the mean distance of these
 
 Names = Iterator[tuple[str, str]]  # keys, and materials that they name
 Corners = tuple[np.ndarray, np.ndarray]
@@ -79,26 +80,28 @@ class Regions(Structure):
     )
 
     def names(self, materials: Sequence[str]) -> Names:
-        yield "material", materials[0] if self.material is None else self.material
+        yield "material", self._around(materials)
         for number, region in enumerate(self.regions):
             yield f"regions.{number}.material", region.material
 
     def labels(self, places: np.ndarray, corners: Corners, materials: Sequence[str]) -> np.ndarray:
         number = _numbers(materials)
-        out = np.full(len(places), number[materials[0] if self.material is None else self.material])
+        out = np.full(len(places), number[self._around(materials)])
         for region in self.regions:
             out[region.holds(places)] = number[region.material]
         return out
 
+    def _around(self, materials: Sequence[str]) -> str:
+        return materials[0] if self.material is None else self.material
+
 
 class Voronoi(Structure):
-    """Grains that grew from random seeds until joints of binder were left between them, with round voids in them."""
+    """Grains that grew from random seeds until joints of binder, 0.12 of their distance, were left between them, and voids."""
 
     kind: Literal["voronoi"] = "voronoi"
     grains: int = Field(ge=1, le=10**6, description="How many grains there are.")
     grain: str = Field(description="The material of grains.")
     binder: str = Field(description="The material between them.")
-    joint: float = Field(default=0.12, gt=0, lt=1, description="Width of joints, over the mean distance of grains.")
     voids: float = Field(
         default=0.0, ge=0, lt=0.9, description="Part of the volume that round voids take, in the mean."
     )
@@ -117,7 +120,7 @@ class Voronoi(Structure):
         apart = (volume / self.grains) ** (1 / 3)
         centres = lower + draw.uniform(size=(self.grains, 3)) * (upper - lower)
         near = scipy.spatial.cKDTree(centres).query(places, k=min(2, self.grains))[0].reshape(len(places), -1)
-        joint = near[:, -1] - near[:, 0] < self.joint * apart if self.grains > 1 else np.zeros(len(places), dtype=bool)
+        joint = near[:, -1] - near[:, 0] < JOINT * apart if self.grains > 1 else np.zeros(len(places), dtype=bool)
         out = np.where(joint, number[self.binder], number[self.grain])
         # Balls overlap, and some reach in from outside: of centres without order, of balls that add up to a part a of the
         # space, a place is in none with the probability exp(-a).
@@ -153,10 +156,11 @@ class Voxels(Structure):
     def labels(self, places: np.ndarray, corners: Corners, materials: Sequence[str]) -> np.ndarray:
         number, (lower, upper) = _numbers(materials), corners
         voxels = self.read()
-        meant = np.array([number[self.materials[str(label)]] for label in np.unique(voxels)])
+        labels = np.unique(voxels)
+        meant = np.array([number[self.materials[str(label)]] for label in labels])
         at = ((places - lower) / (upper - lower) * voxels.shape).astype(int)
         i, j, k = np.clip(at, 0, np.array(voxels.shape) - 1).T
-        return meant[np.searchsorted(np.unique(voxels), voxels[i, j, k])]
+        return meant[np.searchsorted(labels, voxels[i, j, k])]
 
     def check(self) -> None:
         self.read()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
@@ -284,9 +284,13 @@ def _text(value: Any) -> str:
 
 def _require_same_domain(scene: Scene, header: Header, path: Path) -> None:
     """Raise InputError unless a scene has the cuboid and the boundary of a checkpoint; base cells may be others."""
-    kept = {**header.domain, "cells": scene.domain.model_dump(mode="json")["cells"]}
-    if changed := list(differences(scene.domain.model_dump(mode="json"), kept, "domain")):
-        key, value, before = changed[0]
+    now = scene.domain.model_dump(mode="json")
+    require_same(scene, path, differences(now, {**header.domain, "cells": now["cells"]}, "domain"))
+
+
+def require_same(scene: AnyScene, path: Path, changed: Iterable[tuple[str, Any, Any]]) -> None:
+    """Raise InputError for the first of the `differences` between a scene and that of a checkpoint, if there are any."""
+    for key, value, before in changed:
         raise InputError(
             f"{scene.name} cannot go on from checkpoint {path}: {key} is {_text(value)} instead of {_text(before)}; "
             "restore that, or start afresh in another folder"

@@ -13,6 +13,7 @@ from ..units import UNITS
 from .complaints import complaint
 from .expression import COORDINATES as AXES
 from .expression import Value, formula
+from .per_face import pairs_of, schema_of
 from .units import to_si
 
 Given = float | str  # an SI number, or a formula in x, y, z (m) whose value is one
@@ -34,27 +35,10 @@ def _given(value: Any, kind: str) -> Given:
 def _spread(value: Any, kind: str) -> PerFace:
     if not isinstance(value, Mapping):
         raise complaint(f"names no axis for its {kind}", "write it per axis, such as { z = [0, 100] }")
-    out: PerFace = {}
-    for axis, pair in value.items():
-        if axis not in AXES:
-            raise complaint("is not an axis", "use x, y and z", path=str(axis), found=pair)
-        pair = (pair, pair) if isinstance(pair, (int, float, str)) else pair
-        if not isinstance(pair, (list, tuple)) or len(pair) != 2:
-            raise complaint("does not fit the two faces of an axis", "write one value or a pair", path=axis, found=pair)
-        out[axis] = (_given(pair[0], kind), _given(pair[1], kind))
-    return out
+    return {axis: (_given(lower, kind), _given(upper, kind)) for axis, (lower, upper) in pairs_of(value).items()}
 
 
-_ONE = {"type": ["number", "string"]}
-_SCHEMA = WithJsonSchema(
-    {
-        "type": "object",
-        "properties": {
-            axis: {"anyOf": [_ONE, {"type": "array", "items": _ONE, "minItems": 2, "maxItems": 2}]} for axis in AXES
-        },
-        "additionalProperties": False,
-    }
-)
+_SCHEMA = WithJsonSchema(schema_of({"type": ["number", "string"]}))
 Potentials = Annotated[PerFace, BeforeValidator(lambda value: _spread(value, "potential")), _SCHEMA]
 Slopes = Annotated[PerFace, BeforeValidator(lambda value: _spread(value, "field")), _SCHEMA]
 

@@ -128,6 +128,12 @@ def _brief(value: Any) -> str:
     return text if len(text) <= 60 else text[:57] + "…"
 
 
+def complaint_of(refused: Exception) -> PydanticCustomError:
+    """Return the validation error that an exception's sentence makes: what is wrong; what to do about it."""
+    what, _, remedy = str(refused).partition("; ")
+    return complaint(f"is refused: {what}", remedy, found="")
+
+
 def complaint(what: str, remedy: str, *, path: str = "", found: Any = None) -> PydanticCustomError:
     """Return a validation error that already knows its wording: what is wrong, and what to do about it.
 

@@ -10,7 +10,8 @@ from pydantic import BeforeValidator, Field, WithJsonSchema, model_validator
 from ..errors import HierarchyError
 from ..mesh.domain import AXES, BOUNDARIES, Domain
 from .boundary_values import Function, Potentials, Slopes, require_kind, wall_function
-from .complaints import close_match, complaint
+from .complaints import close_match, complaint, complaint_of
+from .per_face import pairs_of, schema_of
 from .section import Section
 from .units import Index3, Length3
 
@@ -18,20 +19,35 @@ SHORTEST, LONGEST = 1e-30, 1e30  # m; of a domain: squares of volumes are number
 RESOLVED = 1e-10  # of a place: how wide cells are at least, so that a place in one has four digits on 15 levels
 LARGEST_INDEX = 2**31 - 1  # cells are counted in 32 bits along an axis and on a rank
 _FACE = {"enum": list(BOUNDARIES)}
-_FACES = {"anyOf": [_FACE, {"type": "array", "items": _FACE, "minItems": 2, "maxItems": 2}]}
-BOUNDARY_SCHEMA = {
-    "anyOf": [
-        _FACE,
-        {"type": "object", "properties": dict.fromkeys(AXES, _FACES), "additionalProperties": False},
-    ]
-}
+BOUNDARY_SCHEMA = {"anyOf": [_FACE, schema_of(_FACE)]}
 
 
-class DomainSection(Section):
-    """The cuboid that is computed, its base cells and what holds at its faces."""
+class CuboidSection(Section):
+    """A cuboid and its cells."""
 
     lower: Length3 = Field(description="Lower corner, m.")
     upper: Length3 = Field(description="Upper corner, m; above the lower one along each axis.")
+    cells: Index3 = Field(description="Cells per axis, at least 2.")
+
+    @model_validator(mode="after")
+    def _sound(self) -> Self:
+        try:
+            _ = self.value
+        except HierarchyError as refused:
+            raise complaint_of(refused) from None
+        for axis, (lower, upper, cells) in enumerate(zip(self.lower, self.upper, self.cells, strict=True)):
+            _require_measurable(AXES[axis], lower, upper, cells)
+        return self
+
+    @property
+    def value(self) -> Domain:
+        """The domain that hierarchies are made of."""
+        return Domain(self.lower, self.upper, self.cells)
+
+
+class DomainSection(CuboidSection):
+    """The cuboid that is computed, its base cells and what holds at its faces."""
+
     cells: Index3 = Field(description="Base cells per axis, at least 2; any number will do.")
     boundary: Annotated[
         dict[str, tuple[str, str]],
@@ -62,14 +78,8 @@ class DomainSection(Section):
         return {"lower": data.lower, "upper": data.upper, "cells": data.cells, "boundary": boundary}
 
     @model_validator(mode="after")
-    def _sound(self) -> Self:
-        try:
-            domain = self.value
-        except HierarchyError as refused:
-            what, _, remedy = str(refused).partition("; ")
-            raise complaint(f"is refused: {what}", remedy, found="") from None
-        for axis, (lower, upper, cells) in enumerate(zip(self.lower, self.upper, self.cells, strict=True)):
-            _require_measurable(AXES[axis], lower, upper, cells)
+    def _faces_fit(self) -> Self:
+        domain = self.value
         if any("open" in pair for pair in domain.boundary) and any(domain.periodic):
             raise complaint(
                 "mixes open and periodic faces, for which there is no method yet",
@@ -116,21 +126,15 @@ def _per_face(value: Any) -> Any:
         value = dict.fromkeys(AXES, value)
     if not isinstance(value, Mapping):
         raise complaint("is no boundary", f"write one of {', '.join(BOUNDARIES)}, or one per axis")
-    pairs = {axis: tuple(face) if isinstance(face, list | tuple) else (face, face) for axis, face in value.items()}
-    for axis in pairs:
-        if axis not in AXES:
-            raise complaint("is not an axis", "use x, y and z", path=str(axis))
+    pairs = pairs_of(value)
     for axis, pair in pairs.items():
         for name in pair:
             if name not in BOUNDARIES:
                 raise complaint(
                     "is not a boundary condition", close_match(str(name), BOUNDARIES), path=axis, found=name
                 )
-        if len(pair) != 2 or ("periodic" in pair and pair != ("periodic", "periodic")):
+        if "periodic" in pair and pair != ("periodic", "periodic"):
             raise complaint(
-                "does not fit the two faces of an axis",
-                "write one condition or a pair (lower, upper), periodic on both or on none",
-                path=axis,
-                found=value[axis],
+                "is periodic at one face alone", "make it periodic on both or on none", path=axis, found=value[axis]
             )
     return {axis: pairs.get(axis, ("open", "open")) for axis in AXES}

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 from scipy.integrate import solve_ivp
-from scipy.optimize import curve_fit
 from scipy.special import erf, ndtri
 
 from ..mesh.domain import Domain
@@ -28,7 +27,7 @@ from ..stages.migrate import migrate
 from ..units import ELECTRON_MASS, ELEMENTARY_CHARGE
 from .chosen import in_full, solver_of
 from .draw import picture
-from .plasma import CELL, CELLS, damped, wave_of
+from .plasma import CELL, CELLS, fitted_wave, wave_of
 from .runs import collected, states
 from .sources import EPS0, Gaussian
 from .table import Cell, Goal, Table
@@ -385,5 +384,5 @@ def _frequency(comm: MPI.Comm, shape: Shape, waves: int, kind: CompensationKind)
     places[:, 0] += 1e-2 / k * np.sin(k * places[:, 0])
     rest = np.zeros_like(places)
     at, wave = wave_of(comm, places, rest, 1e8, step, round(6 * np.pi / step), shape, waves, kind)
-    (*_, found, _), _ = curve_fit(damped, at, wave.real / abs(wave[0]), (np.sign(wave[0].real), 0.0, 0.9, 0.0))
+    found = fitted_wave(at, wave.real / abs(wave[0]), (np.sign(wave[0].real), 0.0, 0.9, 0.0))[2]
     return float(2 / step * np.sin(found * step / 2))

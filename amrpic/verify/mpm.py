@@ -421,8 +421,7 @@ def first_solve(comm: MPI.Comm, size: Size, per_axis: int) -> tuple[int, fem.Sol
     """Points of a press, and how its first linear system is solved by p-multigrid and by the diagonal. Collective."""
     large = scene({**press(20, breaks=True, size=size), "points": {"per_axis": per_axis}})
     there = begin(Plan(comm, large)).placed
-    loads = large.schedule.loads()
-    fixed, values = held_by(large, there.mesh, loads.begin, loads.end)
+    fixed, values = held_by(large, there.mesh, large.schedule.loads())
     zero = np.zeros_like(values)
     tangent = there.solid.tangent(zero)
 

@@ -19,7 +19,7 @@ from ..mesh.domain import AXES
 from ..mesh.pictures import DPI, draw_curve, plane
 from ..mesh.raster import Line, Raster, Spread, line_through
 from ..units import prefix_of, quantity
-from .views import View, of_points
+from .views import View, kinds_of, of_points
 
 Array = NDArray[Any]
 
@@ -68,7 +68,8 @@ def _projection(dump: Dump, spread: Spread, view: View, raster: Raster) -> Figur
 
 def _plane(dump: Dump, raster: Raster, symbol: str, unit: str, view: View, title: str) -> Figure:
     level = "" if view.level is None else f", level {view.level}"
-    return plane(dump, raster, symbol, unit, f"{title}{level}, {_when(dump)}", view.scale, view.boxes, view.level)
+    title = f"{title}{level}, {_when(dump)}"
+    return plane(dump, raster, symbol, unit, title, view.scale, view.boxes, view.level, kinds_of(dump, view))
 
 
 def _when(dump: Dump) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
@@ -65,6 +66,13 @@ def of_points(dump: Dump) -> bool:
 def overview_of(dump: Dump) -> tuple[View, ...]:
     """Return the views that show a dump if no others are asked for."""
     return OF_POINTS if of_points(dump) else OVERVIEW
+
+
+def kinds_of(dump: Dump, view: View) -> list[str]:
+    """Return what the values of a view are the numbers of, from 0 on: the materials of points; nothing if they are values."""
+    if not of_points(dump) or (view.quantity, view.kind, view.scale) != ("material", "slice", "auto"):
+        return []
+    return list(json.loads(dump.scene_text)["materials"])
 
 
 def density_of(dump: Dump) -> str:

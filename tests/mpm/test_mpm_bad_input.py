@@ -32,14 +32,17 @@ MISTAKES = {
     "materials.rubber.poisson=0.5": "materials.rubber.poisson .* is not less than 0.5",
     "materials.rubber.poisson=-1.5": "materials.rubber.poisson .* is not greater than -1",
     'materials.rubber.damage={toughness=1,length="1 mm"}': "damage.length .* is shorter than two distances of nodes, 1 m",
-    "domain.degree=5": "domain.degree .*5.* is no degree of elements; use 1, 2, 3 or 4",
-    "domain.cells=1": "cells",
+    "domain.degree=5": "domain.degree .*5.* is not less than or equal to 4",
+    "domain.cells=1": "domain.* is refused: domain.cells along x is 1; give at least 2",
+    "domain.upper=1e-40": "domain along x reaches from 0 to 1e-40 m, which is 1e-40 m; give it a length from 1e-30",
     'faces.x="glued"': "faces.x.* .*glued.* is no face; use one of slip, clamped, free",
     'faces.w="slip"': "faces.w .* is not an axis; use x, y and z",
     'faces.z=["slip",{press=1.5}]': "press .*1.5.* is no part of the length that goes; give a number between 0 and 1",
     'faces.z=["slip",{press=0}]': "press .*0.* is no part of the length that goes; give a number between 0 and 1",
     'faces={x="free",y="slip",z="slip"}': 'let the body go along x; make one of x "slip", or any "clamped"',
-    "faces={}": "hold nothing, so the body can go anywhere",
+    "faces={}": 'faces let the body go along x; make one of x "slip"',
+    'faces.z=["slip"]': "faces.z .* does not fit the two faces of an axis; write one value or a pair",
+    "faces.z={pull=true}": "pull .* is no part of the length that comes; give a positive number",
     'structure={kind="regions",material="iron"}': "structure.material .*iron.* is no material of the scene; use rubber",
     'structure={kind="crystals"}': "structure .*crystals.* has an unknown kind; use one of voronoi, voxels, regions",
     "points={per_axis=0}": "points.per_axis .* is not greater than or equal to 1",
@@ -86,6 +89,10 @@ def test_checkpoints_of_one_method_are_not_gone_on_with_by_the_other(comm, tmp_p
         simulation_of(comm, points, tmp_path / "checkpoint_00000001")
     other = given("domain.upper=2")
     with pytest.raises(InputError, match=r"cannot go on from checkpoint .*: domain.upper is .*2.0.* instead of .*1.0"):
+        simulation_of(comm, other, tmp_path / "checkpoint_00000000")
+    data = points.to_dict()
+    other = mpm.Scene.from_dict({**data, "materials": {"foam": data["materials"]["rubber"]}})
+    with pytest.raises(InputError, match=r"materials is \['foam'\] instead of \['rubber'\]; restore that"):
         simulation_of(comm, other, tmp_path / "checkpoint_00000000")
 
 

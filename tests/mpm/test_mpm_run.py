@@ -14,13 +14,17 @@ from amrpic.commands.watch import SHOWN_OF_POINTS, Look
 from amrpic.errors import InputError, ParticleError
 from amrpic.fem import Mesh
 from amrpic.io import time_series
+from amrpic.io.field_reader import open_dump
 from amrpic.io.run_status import RunStatus
 from amrpic.mpm.material_points import migrate, require_inside
 from amrpic.mpm.means import element_means
+from amrpic.mpm.preview import preview
 from amrpic.mpm.sample import mesh_of, sample
 from amrpic.results import report
 from amrpic.results.compare import compare
 from amrpic.verify.mpm import press
+from amrpic.view.draw import figures
+from amrpic.view.views import View
 from vtk_files import vtk_read
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -136,6 +140,7 @@ def test_a_run_that_is_killed_goes_on_bit_by_bit(comm, tmp_path):
         whole.advance()
     whole.checkpoint(tmp_path / "checkpoint_00000002")
     again = mpm.Simulation.restart(comm, tmp_path / "checkpoint_00000002")
+    assert whole.state.measured == again.state.measured
     for run in (whole, again):
         for _ in range(2):
             run.advance()
@@ -229,6 +234,28 @@ def test_files_of_a_run_say_what_its_points_have(tmp_path):
     assert rows["dissipated"][-1] > 0
     assert rows["stored"][-1] + rows["dissipated"][-1] <= 1.02 * rows["work"][-1]
     assert len(list((tmp_path / "run").glob("*.png"))) == 5
+
+
+def test_a_picture_names_the_material_that_has_most_of_an_element(tmp_path):
+    mixed = {"shape": "box", "material": "soft", "lower": [0, 0, 0], "upper": [1.2, 1, 1]}  # 40 % of the third element
+    hole = {"shape": "box", "material": "empty", "lower": [0, 0, 0.5], "upper": [1, 1, 1]}
+    small = scene(
+        tmp_path,
+        domain={"lower": 0, "upper": [2, 1, 1], "cells": [4, 2, 2], "degree": 1},
+        materials={"soft": RUBBER, "hard": RUBBER},
+        floor_stiffness=1e3,
+        structure={"kind": "regions", "material": "hard", "regions": [mixed, hole]},
+    )
+    preview(MPI.COMM_SELF, small)
+    with open_dump(small.directory / "preview.vtkhdf") as dump:
+        [(_, figure)] = figures(dump, [View("material", axis=1)])
+    panel, bar = figure.axes
+    names = {int(at): text.get_text() for at, text in zip(bar.get_yticks(), bar.get_yticklabels(), strict=True)}
+    shown = np.array(panel.images[0].get_array())
+    height, width = shown.shape
+    middles = [[int(shown[j * height // 4, i * width // 8]) for i in (1, 3, 5, 7)] for j in (1, 3)]
+    found = [[names[number] for number in row] for row in middles]
+    assert found == [["soft", "soft", "hard", "hard"], ["none", "none", "hard", "hard"]]
 
 
 @pytest.mark.mpi(ranks=2)

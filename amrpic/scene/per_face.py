@@ -1,0 +1,35 @@
+"""What a scene gives for the faces of the domain: per axis one value for both, or a pair (lower, upper)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ..mesh.domain import AXES
+from .complaints import complaint
+
+JsonSchema = dict[str, Any]
+
+
+def pairs_of(values: Mapping[Any, Any]) -> dict[str, tuple[Any, Any]]:
+    """Return pairs of the axes that have values. Complains of other axes, and of pairs that are none."""
+    out = {}
+    for axis, given in values.items():
+        if axis not in AXES:
+            raise complaint("is not an axis", "use x, y and z", path=str(axis), found=given)
+        pair = tuple(given) if isinstance(given, list | tuple) else (given, given)
+        if len(pair) != 2:
+            raise complaint(
+                "does not fit the two faces of an axis",
+                "write one value or a pair (lower, upper)",
+                path=axis,
+                found=given,
+            )
+        out[axis] = pair
+    return out
+
+
+def schema_of(one: JsonSchema) -> JsonSchema:
+    """Return the JSON schema of what `pairs_of` takes, if `one` is that of a value."""
+    pair = {"anyOf": [one, {"type": "array", "items": one, "minItems": 2, "maxItems": 2}]}
+    return {"type": "object", "properties": dict.fromkeys(AXES, pair), "additionalProperties": False}

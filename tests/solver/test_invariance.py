@@ -142,3 +142,13 @@ def test_the_exact_bottom_knows_open_walls_of_a_base_that_is_covered(pool):
     case = Case((9, 2, 2), boundary=(("open", "open"),) * 3, levels=((((0, 0, 0), (17, 3, 3)),),), blocking_factor=2)
     found = [cycles(pool, replace(case, backend=backend)) for backend in ("matrix-free", "crs")]
     assert max(found) <= 6, found
+
+
+def test_steps_behind_gaps_at_walls_are_as_long_in_both_backends(pool):
+    """Slow cycles are followed by Jacobi steps on coarse cells behind narrow gaps. Matrix-free these took the diagonal of cells
+    away from walls, and overshot beside walls: one or two cycles more."""
+    corners = [((0, 20, 6), (5, 21, 7)), ((0, 22, 2), (3, 23, 5)), ((0, 24, 4), (5, 25, 7)), ((0, 26, 6), (3, 31, 7)),
+               ((0, 30, 4), (3, 33, 5)), ((4, 32, 4), (5, 35, 7))]  # fmt: skip
+    case = Case((3, 21, 4), levels=(tuple(corners),), blocking_factor=2, source=noise(3))
+    found = [cycles(pool, replace(case, backend=backend)) for backend in ("matrix-free", "crs")]
+    assert found[0] == found[1], found

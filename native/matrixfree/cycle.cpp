@@ -104,7 +104,7 @@ Cycle::Cycle(Communicator const& comm, MultigridLevels multigrid, int max_grid_s
                        },
                        last_children_of(multigrid_, l),
                        seam_widths(multigrid_.levels[l - 1]->periodic(), multigrid_.upper[l - 1])});
-    level.local = make_local_cycle(comm, *level.swept, copies, shift, own);
+    level.local = make_local_cycle(comm, *level.swept, copies, shift, relaxation);
     levels_.push_back(std::move(level));
   }
   Level const& coarsest = *multigrid_.levels.front();

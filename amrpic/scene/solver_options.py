@@ -106,8 +106,8 @@ class SolverOptions(Section):
         gt=0,
         lt=2,
         description="Factor of a relaxation step; by default 1.28 for red-black, 6/7 for jacobi and 1 for Gauss-Seidel. "
-        "Red-black takes it on refined levels of cubes; from the base down it takes 0.7, and where cells are long or flat "
-        "0.55, of the part above 1. Refused for chebyshev, which has none.",
+        "Red-black takes it on refined levels of cubes; from the base down it takes 0.7, and where cells are long 0.55, of "
+        "the part above 1, and where they are flat -0.3. Refused for chebyshev, which has none.",
     )
     sweeps: Annotated[
         tuple[int, int] | None, BeforeValidator(_both, json_schema_input_type=int | tuple[int, int] | None)

@@ -21,7 +21,7 @@ Coarsening::Coarsening(Communicator const& comm, SweptLevel& fine, SweptLevel& c
   if (coarse.level().ranks() == 1 && fine.level().ranks() > 1) plan_gathering();
   if (refines_)
     interface_ = InterfaceCells(fine.level(), coarse.level(), pair.finer, fine.layout(), fine.faces(), coarse_patches_,
-                                fine.stencil().weight(), coarse.stencil().weight());
+                                fine.stencil().weight(), coarse.stencil().weight(), pair.gap_fits);
 }
 
 /// Lay out the parents of own blocks with their ghost cells, and plan how their values come.

@@ -25,11 +25,12 @@ class Coarsening {
  public:
   /// How the finer level lies on the coarser one.
   struct Pair {
-    bool refines = false;           ///< the coarser right-hand side is its own elsewhere
-    bool parents_in_place = false;  ///< see MultigridLevels
-    bool has_gaps = false;          ///< somewhere, on any rank, see `GapFit`
-    Level const* finer = nullptr;   ///< the level after the finer one
-    KnownReads* known = nullptr;    ///< what is known of those that read parents, and is added to; else none
+    bool refines = false;                         ///< the coarser right-hand side is its own elsewhere
+    bool parents_in_place = false;                ///< see MultigridLevels
+    bool has_gaps = false;                        ///< somewhere, on any rank, see `GapFit`
+    Level const* finer = nullptr;                 ///< the level after the finer one
+    std::shared_ptr<GapFits> gap_fits = nullptr;  ///< to take fits in gaps from and put them in; if `refines`
+    KnownReads* known = nullptr;  ///< what is known of those that read parents, and is added to; else none
   };
   /// Collective.
   Coarsening(Communicator const& comm, SweptLevel& fine, SweptLevel& coarse, Index3 const& ratio, Pair const& pair,

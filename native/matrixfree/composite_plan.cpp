@@ -25,13 +25,14 @@ void place_across(int axis, Imports::Values const& values, Rectangle& out) {
 /// Makes the lists of one level of this rank.
 class LevelPlanner {
  public:
-  LevelPlanner(Hierarchy const& hierarchy, int l, Imports const& cells, LevelPlan& out)
+  LevelPlanner(Hierarchy const& hierarchy, int l, Imports const& cells, GapFits& gap_fits, LevelPlan& out)
       : l_(l),
         level_(hierarchy.level(l)),
         faces_(hierarchy.faces(l)),
         coarser_(l > 0 ? &hierarchy.level(l - 1) : nullptr),
         finer_(hierarchy.has_finer(l) ? &hierarchy.level(l + 1) : nullptr),
         cells_(cells),
+        gap_fits_(gap_fits),
         out_(out) {}
 
   /// Faces and interfaces; the finer level comes later, when its interfaces are known.
@@ -144,7 +145,7 @@ class LevelPlanner {
       out.parts = parts_of_window(l_, refined_near_, coarse.refine(refinement_ratio), f);
     GapCells const cells(level_, coarse, coarse_near_, refined_near_, finer_);
     for_each_cell(fits.box(), [&](Index3 const& cell) {
-      if (fits(cell) == fit_in_gap) out_.fits_in_gaps.push_back(&out_.gap_fits(cells.around(cell), f / 2));
+      if (fits(cell) == fit_in_gap) out_.fits_in_gaps.push_back(&gap_fits_(cells.around(cell), f / 2));
     });
     return out;
   }
@@ -221,6 +222,7 @@ class LevelPlanner {
   Level const* coarser_;
   Level const* finer_;
   Imports const& cells_;
+  GapFits& gap_fits_;
   LevelPlan& out_;
   // of the box under way
   int number_ = 0;
@@ -284,7 +286,7 @@ CompositePlan::CompositePlan(Hierarchy const& hierarchy) : levels(std::size_t(hi
   }
   cells.plan(comm);
   for (int l = hierarchy.level_count() - 1; l >= 0; --l) {
-    LevelPlanner planner(hierarchy, l, cells, levels[std::size_t(l)]);
+    LevelPlanner planner(hierarchy, l, cells, *gap_fits, levels[std::size_t(l)]);
     planner.plan_faces();
     if (hierarchy.has_finer(l)) planner.plan_refinement(levels[std::size_t(l) + 1]);
   }
@@ -303,12 +305,12 @@ Traffic CompositePlan::of_average() const {
 }
 
 std::size_t CompositePlan::bytes() const {
-  std::size_t sum = cells.memory();
+  std::size_t sum = cells.memory() + gap_fits->bytes();
   for (auto const& l : levels)
     sum += bytes_of(l.boxes) + bytes_of(l.neighbours) + bytes_of(l.interfaces) + bytes_of(l.coarse) + bytes_of(l.fits) +
-           bytes_of(l.gaps) + bytes_of(l.window_parts) + bytes_of(l.fits_in_gaps) + l.gap_fits.bytes() +
-           bytes_of(l.covered) + bytes_of(l.refined) + bytes_of(l.families) + bytes_of(l.remote_means) +
-           l.finer_fluxes.memory() + l.finer_means.memory();
+           bytes_of(l.gaps) + bytes_of(l.window_parts) + bytes_of(l.fits_in_gaps) + bytes_of(l.covered) +
+           bytes_of(l.refined) + bytes_of(l.families) + bytes_of(l.remote_means) + l.finer_fluxes.memory() +
+           l.finer_means.memory();
   return sum;
 }
 

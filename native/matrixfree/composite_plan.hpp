@@ -109,7 +109,6 @@ struct LevelPlan {
   std::vector<Gaps> gaps;
   std::vector<WindowPart> window_parts;
   std::vector<GapFit const*> fits_in_gaps;
-  GapFits gap_fits;
   std::int32_t fluxes = 0;   ///< number of coarse faces for which the level has places
   std::vector<Box> covered;  ///< counted from the first cell of the box
   std::vector<RefinedSide> refined;
@@ -134,6 +133,7 @@ struct CompositePlan {
   explicit CompositePlan(Hierarchy const& hierarchy);
 
   std::vector<LevelPlan> levels;
+  std::shared_ptr<GapFits> gap_fits = std::make_shared<GapFits>();  ///< of all levels
 
   Imports cells;  ///< of other ranks, of all levels
   /// Their purposes: cells of level l as ghosts of that level, or for those of the next finer one, or around gaps

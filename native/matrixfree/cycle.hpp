@@ -31,15 +31,17 @@ struct LevelWork {
 /// precision and without matrices.
 class Cycle {
  public:
-  /// `shift`: of the Equation. `order`: of the residual that corrections are for. Collective.
-  Cycle(Communicator const& comm, Hierarchy const& hierarchy, Real shift, Relaxation const& relaxation, int order = 2)
-      : Cycle(comm, levels_of(hierarchy, shift, order), hierarchy.max_grid_size(), relaxation) {}
+  /// `shift`: of the Equation. `order`: of the residual that corrections are for. `gap_fits`: what is known of fits in
+  /// gaps, and is added to. Collective.
+  Cycle(Communicator const& comm, Hierarchy const& hierarchy, Real shift, Relaxation const& relaxation, int order = 2,
+        std::shared_ptr<GapFits> gap_fits = std::make_shared<GapFits>())
+      : Cycle(comm, levels_of(hierarchy, shift, order), hierarchy.max_grid_size(), relaxation, std::move(gap_fits)) {}
   /// What all ranks know of who reads whose corrections, by levels.
   using Known = std::vector<KnownReads>;
   /// On levels of `levels_of`. `known`, if given, is what the cycles of other virtual ranks found, and is added to.
   /// Collective.
   Cycle(Communicator const& comm, MultigridLevels multigrid, int max_grid_size, Relaxation const& relaxation,
-        Known* known = nullptr);
+        std::shared_ptr<GapFits> gap_fits, Known* known = nullptr);
 
   /// The levels of a hierarchy and those below the base. Local.
   static MultigridLevels levels_of(Hierarchy const& hierarchy, Real shift, int order = 2);
@@ -58,7 +60,7 @@ class Cycle {
   /// Cells of the base per cell of the multigrid level below it, along each axis; ones if there is none.
   Index3 ratio_below_base() const { return multigrid_.base > 0 ? multigrid_.ratio[multigrid_.base] : Index3{1, 1, 1}; }
 
-  std::size_t bytes() const;  ///< of this rank's memory
+  std::size_t bytes() const;  ///< of this rank's memory, without fits in gaps
 
  private:
   friend class kokkos::Cycle;
@@ -99,7 +101,9 @@ class CyclePlans {
   /// The work of a rank; see Cycle::work. Local.
   std::vector<LevelWork> work(int rank) {
     auto const there = hierarchy_->seen_by(rank);
-    return Cycle(there->comm(), seen_by(multigrid_, *there), there->max_grid_size(), relaxation_, &known_).work();
+    return Cycle(there->comm(), seen_by(multigrid_, *there), there->max_grid_size(), relaxation_,
+                 std::make_shared<GapFits>(), &known_)
+        .work();
   }
 
  private:

@@ -14,7 +14,9 @@ constexpr int margin = 2;  ///< of coarser cells that fits take, around the pare
 
 InterfaceCells::InterfaceCells(Level const& level, Level const& coarser, Level const* finer, Layout const& layout,
                                LevelFaces const& faces, std::vector<CoarsePatch> const& patches,
-                               std::array<float, 3> const& weight, std::array<float, 3> const& coarse_weight) {
+                               std::array<float, 3> const& weight, std::array<float, 3> const& coarse_weight,
+                               std::shared_ptr<GapFits> gap_fits)
+    : gap_fits_(std::move(gap_fits)) {
   for (std::size_t b = 0; b < layout.own_blocks(); ++b) {
     if (!faces[b].ends_level()) continue;
     CellBlock const& block = layout.blocks()[b];
@@ -64,7 +66,7 @@ void InterfaceCells::add_gaps(InterfaceSide& face, ArrayOnBox<FitNumber> const& 
     face.window = gaps.grow(1).refine(refinement_ratio);
     GapCells const cells(level, gaps.grow(1), near, refined, finer);
     for_each_cell(fits.box(), [&](Index3 const& cell) {
-      if (fits(cell) == fit_in_gap) gaps_.push_back(&gap_fits_(cells.around(cell), face.axis));
+      if (fits(cell) == fit_in_gap) gaps_.push_back(&(*gap_fits_)(cells.around(cell), face.axis));
     });
     if (gap_fits_take_fine_cells(level))
       layout.for_each_overlap(face.window, [&](CellBlock const& block, Box const& part, Index3 const& shift) {
@@ -181,7 +183,7 @@ void InterfaceCells::subtract_flux(Vector const& e, Vector& coarse_values) const
 }
 
 std::size_t InterfaceCells::bytes() const {
-  return faces_.size() * sizeof(InterfaceSide) + fits_.size() + gap_fits_.bytes() + window_.bytes() +
+  return faces_.size() * sizeof(InterfaceSide) + fits_.size() + window_.bytes() +
          gaps_.size() * (sizeof(GapFit const*) + sizeof taken_[0]) + parts_.size() * sizeof(WindowPart) +
          (plane_.size() + rows_.size()) * sizeof(float);
 }

@@ -1,5 +1,7 @@
 #pragma once
 
+#include <memory>
+
 #include "matrixfree/fits.hpp"
 #include "matrixfree/gap_window.hpp"
 #include "matrixfree/layout.hpp"
@@ -28,7 +30,7 @@ class InterfaceCells {
   /// two cells around the parents; weights: those of the stencils of this level and the coarser one.
   InterfaceCells(Level const& level, Level const& coarser, Level const* finer, Layout const& layout,
                  LevelFaces const& faces, std::vector<CoarsePatch> const& patches, std::array<float, 3> const& weight,
-                 std::array<float, 3> const& coarse_weight);
+                 std::array<float, 3> const& coarse_weight, std::shared_ptr<GapFits> gap_fits);
 
   /// Take from r what the ghosts behind the faces have of the coarser correction.
   void subtract_coarse(Vector const& coarse_values, Vector& r) const;
@@ -72,7 +74,7 @@ class InterfaceCells {
   void for_each_gap(InterfaceSide const& face, F&& f) const;
   std::vector<InterfaceSide> faces_;
   std::vector<FitNumber> fits_;
-  GapFits gap_fits_;
+  std::shared_ptr<GapFits> gap_fits_;
   std::vector<GapFit const*> gaps_;
   std::vector<FourStars<float>> taken_;  ///< of each gap
   std::vector<WindowPart> parts_;

@@ -4,10 +4,11 @@ namespace amrpic::matrixfree {
 
 namespace {
 
-Relaxation of_copies(Relaxation relaxation) {
+Relaxation of_copy(Level const& level, Real shift, Relaxation relaxation) {
   Sweeps const sweeps = sweeps_of_copies({relaxation.pre_sweeps, relaxation.post_sweeps});
   relaxation.pre_sweeps = sweeps.before;
   relaxation.post_sweeps = sweeps.after;
+  relaxation.factor = relaxation_on(level, shift, true, relaxation.factor);
   return relaxation;
 }
 
@@ -24,7 +25,7 @@ GhostRules ghost_rules_of(LevelCopy const& copy) {
 LocalCycle::LocalCycle(Communicator const& comm, SweptLevel& fine, LevelCopy const& copy, Real shift,
                        Relaxation const& relaxation)
     : fine_(fine),
-      relaxation_(of_copies(relaxation)),
+      relaxation_(of_copy(*copy.level, shift, relaxation)),
       swept_(comm, copy.level, ghost_rules_of(copy), shift, relaxation_, relaxation_.halo()),
       coarsening_(comm, fine, swept_, copy.ratio, {},
                   CoarseGhosts{copy.prolonged, copy.children, seam_widths(copy.level->periodic(), copy.upper)}) {}

@@ -1,6 +1,7 @@
 #include "matrixfree/swept_level.hpp"
 
 #include <algorithm>
+#include <stdexcept>
 
 namespace amrpic::matrixfree {
 
@@ -109,6 +110,17 @@ Traffic SweptLevel::of_sweeps(int sweeps, bool from_zero, bool with_residual) co
   }
   if (with_residual) add(both_colours, 0);
   return out;
+}
+
+SweptLevel::PlaceAndDiagonal SweptLevel::place_and_diagonal(Index3 const& cell) const {
+  for (int b : layout_.on_plane(cell[2])) {
+    CellBlock const& block = layout_.blocks()[std::size_t(b)];
+    if (std::size_t(b) >= layout_.own_blocks() || !block.box.contains(cell)) continue;
+    int const i = cell[0] - block.box.lower[0], j = cell[1] - block.box.lower[1], k = cell[2] - block.box.lower[2];
+    RowStencil const& row = stencil_.block(std::size_t(b)).rows[std::size_t(j + block.box.extent(1) * k)];
+    return {std::size_t(block.place(cell)), stencil_.diagonal(row.coefficients)[i]};
+  }
+  throw std::logic_error("the cell is not one of this rank's");
 }
 
 /// Run a stage over the rows of own blocks that rows(block, plane) chooses.

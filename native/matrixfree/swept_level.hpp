@@ -85,6 +85,12 @@ class SweptLevel {
   LevelFaces const& faces() const { return faces_; }  ///< of the layout's blocks
   Stencil const& stencil() const { return stencil_; }
   Sweep const& sweep() const { return sweep_; }
+  /// Where an own cell lies in the vectors, and the diagonal of its equation, with what ghosts add to it.
+  struct PlaceAndDiagonal {
+    std::size_t place;
+    float diagonal;
+  };
+  PlaceAndDiagonal place_and_diagonal(Index3 const& cell) const;
   Vector& right_hand_side() { return r_; }
   Vector& correction() { return e_; }
   Real scale() const { return scale_; }  ///< h²

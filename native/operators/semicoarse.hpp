@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <functional>
+#include <limits>
 
 #include "operators/multigrid_levels.hpp"
 
@@ -21,12 +22,24 @@ inline Real screened_relaxation(Real3 const& spacing, Real shift) {
   return best(unscreened * (wide.diagonal() - shift) / wide.diagonal()) / best(unscreened);
 }
 
-/// The over-relaxation on a level, of that for cubes in a V-cycle. The best one lies closer to one where cells are long
-/// or flat, since errors couple along fewer axes, in an F-cycle, which leaves less of those errors that over-relaxing
-/// makes up for, and where the potential is screened.
+/// Whether errors couple along one axis alone: all others along which a level has cells have larger spacings.
+inline bool has_flat_cells(Level const& level) {
+  Real shortest = std::numeric_limits<Real>::infinity(), next = shortest;
+  for (int d = 0; d < 3; ++d) {
+    if (level.domain().extent(d) == 1) continue;
+    next = std::min(next, std::max(shortest, level.spacing()[d]));
+    shortest = std::min(shortest, level.spacing()[d]);
+  }
+  return has_long_cells(level) && next > 1.5 * shortest;
+}
+
+/// The over-relaxation on a level, of that for cubes in a V-cycle. The best one lies closer to one where cells are
+/// long, since errors couple along two axes, and below one where they couple along one alone. It is closer to one also
+/// in an F-cycle, which leaves less of those errors that over-relaxing makes up for, and where the potential is
+/// screened.
 inline Real relaxation_on(Level const& level, Real shift, bool v_cycle, Real relaxation) {
-  return 1 + (v_cycle ? 1 : 0.7) * (has_long_cells(level) ? 0.55 : 1) * screened_relaxation(level.spacing(), shift) *
-                 (relaxation - 1);
+  Real const of_shape = has_flat_cells(level) ? -0.3 : has_long_cells(level) ? 0.55 : 1;
+  return 1 + (v_cycle ? 1 : 0.7) * of_shape * screened_relaxation(level.spacing(), shift) * (relaxation - 1);
 }
 
 /// Sweeps before and after a coarser correction.

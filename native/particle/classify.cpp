@@ -245,15 +245,21 @@ void Classifier::look_up(LocalIndex n) {
     out_.lost.push_back(n);
     return;
   }
+  bool const wrapped = x != before;
+  if (wrapped && current_.slot >= 0) {  // mostly it is near where it was again
+    LocalBrick at{current_.slot, current_box().find(x)};
+    if (at.brick < 0) at = find_in_neighbours(x);
+    if (at.brick >= 0 && serves(at, n)) return move_to(number(at), n, out_.wrapped);
+  }
   latest_ = mesh_.locator().find(x, latest_);
   int const server = alone() ? 0 : server_of(latest_, n);
   if (server != mesh_.hierarchy().comm().rank()) {
-    out_.leavers[std::size_t(server)].push_back({n, latest_, x != before});
+    out_.leavers[std::size_t(server)].push_back({n, latest_, wrapped});
     return;
   }
   LocalBrick const at = local(latest_);
-  move_to(number(at), n, x == before ? out_.movers : out_.wrapped);
-  if (current_.slot >= 0 && x == before) neighbours_[std::size_t(current_box().direction(x))] = at.slot;
+  move_to(number(at), n, wrapped ? out_.wrapped : out_.movers);
+  if (current_.slot >= 0) neighbours_[std::size_t(current_box().direction(x))] = at.slot;
 }
 
 void Classifier::move_to(LocalIndex brick, LocalIndex n, std::vector<Destinations::Mover>& movers) {

@@ -29,7 +29,11 @@ bool Locator::wrap(Real3& x) const {
       while (!inside(d)) x[d] = std::nextafter(x[d], lower_[d]);  // on the upper wall, or rounded onto it
       continue;
     }
-    Real const rest = std::fmod(x[d] - lower_[d], length_[d]);
+    Real rest = x[d] - lower_[d];
+    if (rest >= length_[d] && rest < 2 * length_[d])
+      rest -= length_[d];  // exact, as the remainder is, and far faster
+    else if (!(rest < 0 && rest >= -length_[d]))
+      rest = std::fmod(rest, length_[d]);
     x[d] = lower_[d] + (rest < 0 ? rest + length_[d] : rest);
     if (!inside(d)) x[d] = lower_[d];  // rounded onto the upper face, which is the lower one
   }

@@ -64,11 +64,11 @@ void multiply_by_diagonal(TpetraTypes::LocalMatrix const& a, DeviceArray<Real co
 }
 
 /// out += factor x / diagonal of A in some rows. The diagonal comes first in each row.
-void add_over_diagonal(DeviceArray<std::size_t> const& rows, TpetraTypes::LocalMatrix const& a, Real factor,
+void add_over_diagonal(DeviceArray<LocalIndex> const& rows, TpetraTypes::LocalMatrix const& a, Real factor,
                        DeviceArray<Real const> const& x, DeviceArray<Real> const& out) {
   Kokkos::parallel_for(
       "over diagonal", Rows(0, LocalIndex(rows.extent(0))), KOKKOS_LAMBDA(LocalIndex n) {
-        std::size_t const row = rows(n);
+        LocalIndex const row = rows(n);
         out(row) += factor * x(row) / a.values(a.graph.row_map(row));
       });
 }
@@ -294,7 +294,7 @@ void CrsBackend::accelerate() {
 /// When they are first needed. Collective.
 void CrsBackend::find_cells_behind_gaps() {
   if (std::exchange(knows_gaps_, true)) return;
-  auto const rows = places_behind_gaps(*hierarchy_, [&](int l, int box, Index3 const& cell) {
+  auto const rows = each_behind_gaps(*hierarchy_, [&](int l, int box, Index3 const& cell) {
     Level const& level = hierarchy_->level(l);
     return level.local_offset(box) + LocalIndex(level.box(box).offset(cell));
   });

@@ -70,7 +70,7 @@ class CrsBackend : public Backend {
   Multigrid multigrid_;
   std::unique_ptr<Krylov> krylov_;  ///< null if nothing is to be accelerated
   /// Rows of each level; empty until cycles are accelerated, and where no rank has any.
-  std::vector<UntilFinalize<DeviceArray<std::size_t>>> behind_gaps_;
+  std::vector<UntilFinalize<DeviceArray<LocalIndex>>> behind_gaps_;
   bool knows_gaps_ = false;
   CompositeVector phi_;
   CompositeVector right_hand_side_;  ///< f = -rho / eps0 - background minus what walls add; 0 in covered cells

@@ -60,7 +60,7 @@ MatrixFreeBackend::MatrixFreeBackend(Problem const& problem)
       composite_(problem.hierarchy, shift_of(problem.options), problem.options.stretch, problem.options.order),
       cycle_(problem.hierarchy->comm(), *problem.hierarchy, shift_of(problem.options),
              {problem.options.pre_sweeps, problem.options.post_sweeps, problem.options.relaxation},
-             problem.options.order),
+             problem.options.order, composite_.mesh().plan().gap_fits),
       scale_(std::size_t(levels())),
       residual_(blocks(&matrixfree::SweptLevel::right_hand_side)),
       correction_(blocks(&matrixfree::SweptLevel::correction)),
@@ -144,12 +144,8 @@ void MatrixFreeBackend::improve() {
 void MatrixFreeBackend::accelerate() {
   accelerated_ = true;
   if (std::exchange(knows_gaps_, true)) return;
-  behind_gaps_ = places_behind_gaps(*problem_.hierarchy, [&](int l, int box, Index3 const& cell) {
-    Index3 const first = problem_.hierarchy->level(l).box(box).lower;
-    return cycle_.level(std::size_t(l))
-        .layout()
-        .box(box)
-        .place(cell[0] - first[0], cell[1] - first[1], cell[2] - first[2]);
+  behind_gaps_ = each_behind_gaps(*problem_.hierarchy, [&](int l, int, Index3 const& cell) {
+    return cycle_.level(std::size_t(l)).place_and_diagonal(cell);
   });
 }
 
@@ -164,11 +160,8 @@ void MatrixFreeBackend::relax_behind_gaps() {
       auto& swept = cycle_.level(l);
       auto& step = swept.correction();
       std::fill(step.begin(), step.end(), 0.0f);
-      Real const diagonal =
-          swept.scale() *
-          equation_on(problem_.hierarchy->level(int(l)).spacing(), shift_of(problem_.options)).diagonal();
-      for (std::size_t place : behind_gaps_[l]) {
-        step[place] = -float(factor / diagonal) * swept.right_hand_side()[place];
+      for (auto const& [place, diagonal] : behind_gaps_[l]) {
+        step[place] = -float(factor) / diagonal * swept.right_hand_side()[place];
         total[l][place] += step[place];
       }
     }

@@ -78,8 +78,8 @@ class MatrixFreeBackend : public Backend {
   Real largest_source_ = 0;               ///< magnitude of f, V/m^2
   Real unit_ = 1;                         ///< what 1 stands for in the corrections of the cycle, V
   bool accelerated_ = false;
-  /// Of each level, places in the cycle's vectors; empty until first used, and where no rank has any.
-  std::vector<std::vector<std::size_t>> behind_gaps_;
+  /// Of each level; empty until first used, and where no rank has any.
+  std::vector<std::vector<matrixfree::SweptLevel::PlaceAndDiagonal>> behind_gaps_;
   bool knows_gaps_ = false;
   std::optional<Damping> damping_;  ///< in fourth order
   std::vector<Real> steps_;         ///< factors of corrections, in turn

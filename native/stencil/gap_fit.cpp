@@ -1,6 +1,7 @@
 #include "stencil/gap_fit.hpp"
 
 #include <algorithm>
+#include <iterator>
 
 #include "gmls/problem.hpp"
 #include "stencil/interface.hpp"
@@ -90,6 +91,15 @@ bool has_fine_cells(GapSites const& sites) {
   return std::any_of(sites.children.begin(), sites.children.end(), [](auto children) { return children != 0; });
 }
 
+/// A fit without the cells that none of its four values takes, and without spare memory: there may be many fits.
+GapFit with_weights_alone(GapFit const& fit) {
+  auto const counts = [](GapFit::Term const& term) { return term.weight != FourStars<Real>{}; };
+  GapFit out;
+  out.terms.reserve(std::size_t(std::count_if(fit.terms.begin(), fit.terms.end(), counts)));
+  std::copy_if(fit.terms.begin(), fit.terms.end(), std::back_inserter(out.terms), counts);
+  return out;
+}
+
 }  // namespace
 
 GapFit gap_fit(GapSites const& sites, int axis) {
@@ -122,7 +132,7 @@ GapFit gap_fit(GapSites const& sites, int axis) {
     }
     if (done[0] && done[1] && done[2] && done[3]) break;
   }
-  return std::move(all.fit);
+  return with_weights_alone(all.fit);
 }
 
 }  // namespace amrpic

@@ -38,8 +38,9 @@ LOOSE_CYCLES, LOOSE_VARIATION = 20, 3
 SMALL_BLOCKS, GAP_CYCLES = 4, 4
 # Memory of a matrix-free solve: potential, charge, solver, plans for each box, which copies of levels of long cells have
 # too, what Python holds; and sixteen corrections with what they do to the residual, where slow cycles are combined
-# (docs/theory.md, "Slow cycles").
-BYTES_PER_CELL, BYTES_PER_BOX, BYTES_FREE = 100, 4000, 100e6
+# (docs/theory.md, "Slow cycles"). Around small blocks any coarse face may lie in a gap like no other, whose fit weighs up to
+# 168 fine cells, 40 bytes each.
+BYTES_PER_CELL, BYTES_PER_BOX, BYTES_PER_FIT, BYTES_FREE = 100, 4000, 168 * 40, 100e6
 BYTES_OF_ACCELERATION = 128  # per cell
 
 # Refusals that are documented: of cells for which there is no method or no memory.
@@ -163,7 +164,9 @@ def judge(case: Case, found: Outcome, plain: Outcome) -> tuple[list[Failure], fl
     for name, outcome, matrix_free in (("", found, case.backend == "matrix-free"), ("reference: ", plain, True)):
         per_cell = BYTES_PER_CELL + BYTES_OF_ACCELERATION * outcome.accelerated
         boxes = outcome.boxes * (2 if case.levels and case.aspect_ratio > 1.8 else 1)
-        most = per_cell * outcome.cells + BYTES_PER_BOX * boxes + BYTES_FREE
+        solved = case.plain() if name else case
+        fits = solved.most_fits_in_gaps if case.blocking_factor <= SMALL_BLOCKS else 0
+        most = per_cell * outcome.cells + BYTES_PER_BOX * boxes + BYTES_PER_FIT * fits + BYTES_FREE
         if matrix_free and outcome.growth > most:
             fail("memory", f"{name}{outcome.growth / 1e6:.0f} MB for {outcome.cells} cells, at most {most / 1e6:.0f}")
     # Compressed rows may take fewer. Around an odd number of cells they relax the last ones as colours of their own; what is

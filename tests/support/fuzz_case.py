@@ -6,6 +6,7 @@ again.
 
 from __future__ import annotations
 
+import math
 import time
 import warnings
 from collections.abc import Sequence
@@ -60,6 +61,22 @@ class Case:
     def total_cells(self) -> int:
         refined = [b for level in self.levels for b in level]
         return int(np.prod(self.cells)) + sum(int(np.prod(np.subtract(upper, lower) + 1)) for lower, upper in refined)
+
+    @property
+    def most_fits_in_gaps(self) -> int:
+        """At most so many fits of potentials in narrow gaps: one for each coarse face of a box, and for each coarse cell that
+        is not refined one along each axis, two if that passes from one rank to another. Those of long cells are small."""
+        if self.aspect_ratio > 1.8:
+            return 0
+        faces = uncovered = 0
+        coarse = math.prod(self.cells)
+        for level in self.levels:
+            extents = [np.subtract(upper, lower) + 1 for lower, upper in level]
+            refined = sum(int(np.prod(n)) for n in extents)
+            faces += sum(int(n[0] * n[1] + n[1] * n[2] + n[2] * n[0]) // 2 for n in extents)
+            uncovered += coarse - refined // 8
+            coarse = refined
+        return min(faces, 3 * min(2, self.ranks) * uncovered)
 
     def plain(self) -> Case:
         """The same problem on one rank, matrix-free, in boxes of the default size: the reference."""

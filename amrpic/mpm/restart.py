@@ -61,4 +61,5 @@ def load(comm: MPI.Comm, path: Path, scene: Scene | None = None) -> tuple[State,
     held, extra = read(comm, path, manifest=manifest), header.extra
     loads = scene.schedule.loads(extra["begin"], extra["length"])
     there, _ = put(dict(held.tables["points"]), plan, loads.begin)
-    return State(header.step, loads, there, extra["measured"]), plan
+    measured = extra["measured"] if "measured" in extra else extra["totals"]  # of earlier versions: work alone
+    return State(header.step, loads, there, measured), plan

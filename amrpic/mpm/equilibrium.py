@@ -16,7 +16,7 @@ from ..fem.solve import Coarse, Kept, Preconditioner
 from ..parallel import global_norm, global_sum, together
 from .solid import Form, Response, Solid
 
-FIRST_FORCING, LARGEST_FORCING, GAMMA = 1e-2, 0.1, 0.9  # Eisenstat and Walker, choice 2
+FIRST_FORCING, LARGEST_FORCING, GAMMA = 1e-2, 0.03, 0.9  # Eisenstat and Walker, choice 2
 LEAST_STIFFENING = 1 / 8  # of what leaves no direction without stiffness
 ENOUGH = 1e-4  # part of the expected fall that a step must reach
 MOST_CUTS = 20

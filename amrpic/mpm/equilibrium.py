@@ -17,6 +17,7 @@ from ..parallel import global_norm, global_sum, together
 from .solid import Form, Response, Solid
 
 FIRST_FORCING, LARGEST_FORCING, GAMMA = 1e-2, 0.03, 0.9  # Eisenstat and Walker, choice 2
+MOST_GRADIENTS = 80  # of a loose solve by multigrid: with more the tangent is about to lose stiffness along a direction
 LEAST_STIFFENING = 1 / 8  # of what leaves no direction without stiffness
 ENOUGH = 1e-4  # part of the expected fall that a step must reach
 MOST_CUTS = 20
@@ -61,12 +62,12 @@ def equilibrium(
 
     Unknowns that are `fixed`, a mask (nodes,) or (nodes, 3), go to their `values` in m. The residual of the others falls to
     `tolerance` times the size of all forces. Linear solves end by Eisenstat and Walker's rule, or at `linear_tolerance`; where
-    the tangent is not positive along a direction, it is made stiffer until it is, by an eighth and twice as much each time, and
-    half as much in the next iteration. Steps are halved until all det F are positive and the potential falls, or the residual
-    does and the potential does not rise; those of stiffer tangents are doubled while it falls. The first step takes the walls
-    along; it is halved towards `even`, a displacement (nodes, 3) in m that has their values, if that is given and leaves det F
-    positive. What is `kept` of the preconditioner goes on to the next solve. What was reached is returned, converged or not.
-    Collective; InputError on all ranks for arrays of other shapes.
+    the tangent is not positive along a direction, or hardly, it is made stiffer until it is, by an eighth and twice as much
+    each time, and half as much in the next iteration. Steps are halved until all det F are positive and the potential falls, or
+    the residual does and the potential does not rise; those of stiffer tangents are doubled while it falls. The first step
+    takes the walls along; it is halved towards `even`, a displacement (nodes, 3) in m that has their values, if that is given
+    and leaves det F positive. What is `kept` of the preconditioner goes on to the next solve. What was reached is returned,
+    converged or not. Collective; InputError on all ranks for arrays of other shapes.
     """
     held, target, force = _conditions(solid, fixed, values, load)
     u = np.zeros(target.shape) if start is None else _vector(solid, start, "start").copy()
@@ -75,6 +76,8 @@ def equilibrium(
     gradients: list[int] = []
     lengths: list[float] = []
     solved = partial(solve, fixed=held, preconditioner=preconditioner, coarse=coarse, kept=kept or Kept())
+    if linear_tolerance is None and preconditioner == "p-multigrid":
+        solved = partial(solved, most_iterations=MOST_GRADIENTS)
     before, stiffening, reason = None, 0.0, "it took the most iterations"
     for iteration in range(most_iterations + 1):
         residual, jump, energy = force - state.force, np.where(held, target - u, 0.0), state.energy

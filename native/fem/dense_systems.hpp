@@ -16,10 +16,9 @@ constexpr std::size_t tile = native_lane_count;
 /// The least whole vectors that hold so many numbers.
 inline std::size_t padded(std::size_t count) { return (count + tile - 1) / tile * tile; }
 
-template <class Vector>
-inline auto sum_of_lanes(Vector v) {
-  for (std::size_t half = sizeof v / sizeof v[0] / 2; half > 0; half /= 2)
-    for (std::size_t l = 0; l < half; ++l) v[l] += v[l + half];
+inline Real sum_of_lanes(NativeLanes v) {
+  for (int half = native_lane_count / 2; half > 0; half /= 2)
+    for (int l = 0; l < half; ++l) v[l] += v[l + half];
   return v[0];
 }
 

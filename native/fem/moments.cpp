@@ -52,8 +52,7 @@ void legendre_rows(NativeLanes const& x, int highest, NativeLanes* out) {
 class Fit {
  public:
   Fit(Real const* reference, std::vector<Real> const& volume, std::size_t count, int degree)
-      : count_(count),
-        points_(volume.size()),
+      : points_(volume.size()),
         volume_(volume),
         moments_(std::size_t(degree + 1) * (degree + 1) * (degree + 1)),
         rows_(padded(moments_)) {
@@ -79,9 +78,8 @@ class Fit {
   /// Whether there are such weights: then `weight` holds them. That there are none is found sooner if that is thought
   /// of.
   bool find(std::vector<Real>& weight, bool doubtful) {
-    begin();
     if (doubtful && descends_for_ever()) return false;
-    begin();  // Newton's method goes astray from where that led
+    begin();  // Newton's method would go astray from where that led
     for (int step = 0; step < most_steps; ++step) {
       auto const residual = missing();
       Real largest = 0;
@@ -105,6 +103,7 @@ class Fit {
   /// Whether steps of conjugate gradients down F show that it has no minimum, which they do soon if few weights that
   /// are exact would be positive.
   bool descends_for_ever() {
+    begin();
     auto residual = missing(), direction = residual;
     for (int step = 0; step < most_descents; ++step) {
       auto const change = at_points(direction);
@@ -248,7 +247,7 @@ class Fit {
     return false;
   }
 
-  std::size_t count_, points_;
+  std::size_t points_;
   std::vector<Real> const& volume_;  ///< in parts of the element's
   std::size_t moments_, rows_;
   Array a_, h_, of_root_;                      ///< each moment's polynomial at points; second derivatives of F

@@ -167,8 +167,8 @@ void write_state(InitialNeoHookean const*, Moved const& at, Real3 const& scale, 
   out[15] = at.volume * law.moduli(at.whole).b / 2, out[16] = at.volume * law.lambda;
 }
 
-/// Add c (h - h'), a part of the stiffness against rotation by which h . stress is positive for all h: as 2 c h -
-/// c (h + h').
+/// Add a part of c (h - h'), the stiffness against rotation by which h . stress is positive for all h. It is that of
+/// 2 c h - c (h + h').
 template <class D>
 void stiffen(D const*, Real part, Real* state) {
   constexpr bool general = std::is_same_v<D, CurrentGeneral>;
@@ -277,8 +277,7 @@ std::unique_ptr<fem::Operator> damage_operator(DamageEquation const& e) {
   for (std::int64_t block = 0; block < e.points->blocks(); ++block)
     for_each_place(*e.points, block, [&](Place const& at) {
       std::size_t const p = at.point;
-      Real own[Damage::width];
-      own[0] = e.surface[p] > 0 ? e.volume[p] * (e.driving[p] + e.surface[p]) : 0;
+      Real own[Damage::width] = {e.surface[p] > 0 ? e.volume[p] * (e.driving[p] + e.surface[p]) : 0};
       for (std::size_t d = 0; d < 3; ++d)
         own[1 + d] = e.volume[p] * e.surface[p] * e.length[p] * e.length[p] * scale[d] * scale[d];
       state.write(own, at.block, at.lane);

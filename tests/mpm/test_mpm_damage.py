@@ -47,6 +47,9 @@ def test_a_crack_has_its_profile_and_dissipates_its_toughness(comm, degree, cell
     d = mpm.damage_field(solid, np.zeros(len(solid.points)), fixed=away < 1e-9, values=1.0)
     assert np.abs(d - np.exp(-away / length)).max(initial=0.0) < 0.02
     assert solid.dissipated(d) == pytest.approx(TOUGHNESS * 0.05**2, rel=0.02)
+    for start in (np.where(away < 1e-9, 1.0, 0.3), d):
+        again = mpm.damage_field(solid, 0 * solid.driving, fixed=away < 1e-9, values=1.0, start=start)
+        assert np.abs(again - d).max(initial=0.0) < 1e-10
 
 
 def test_what_does_not_break_has_no_damage():

@@ -10,6 +10,7 @@ JOBS ?= $(shell env -u OMP_NUM_THREADS nproc)
 RANKS ?= 2
 SCENE ?= examples/ten_bunches.toml
 ARGS ?=
+ISA ?= host
 REPORTS := $(if $(PUBLISH),docs/reports,runs/reports)
 SYSTEM := build-essential cmake ninja-build python3-venv python3-dev libopenmpi-dev openmpi-bin trilinos-all-dev
 PEERS := libhypre-dev
@@ -90,7 +91,7 @@ verify: setup build/waiting.so .venv/.docs .venv/.browser  ## accuracy against e
 impactx: setup .venv/.peers  ## ImpactX's values for amrpic verify, made anew: amrpic/verify/beam_line.json
 	$(BIN)/python benchmarks/impactx_line.py
 
-setup: .venv/.system .venv/.packages .venv/.built  ## Debian packages, .venv, native build; nothing twice
+setup: .venv/.system .venv/.packages .venv/.built  ## Debian packages, .venv, native build; ISA=all: for all processors, nothing twice
 	@:
 
 .venv/.system: Makefile
@@ -110,13 +111,17 @@ MODULES := $(sort $(wildcard amrpic/*.py amrpic/*/*.py amrpic/*/*/*.py))
 build/.modules: always
 	@mkdir -p build; echo '$(MODULES)' | cmp -s - $@ || echo '$(MODULES)' > $@
 
-.venv/.packages: pyproject.toml .venv/.system build/.modules
+# Which kernels are built: the set that is fastest on this processor (host), or all. Another choice builds anew; none keeps the last.
+build/.isa: always
+	@mkdir -p build; $(if $(filter file,$(origin ISA)),[ -e $@ ] ||) { echo '$(ISA)' | cmp -s - $@ || echo '$(ISA)' > $@; }
+
+.venv/.packages: pyproject.toml .venv/.system build/.modules build/.isa
 	@echo "installing Python packages into .venv"
 	@[ -x $(BIN)/python ] || /usr/bin/python3 -m venv .venv
 	@$(BIN)/python -m pip install -q --disable-pip-version-check $$($(BIN)/python -c 'import tomllib; \
 	  project = tomllib.load(open("pyproject.toml", "rb"))["project"]; more = project["optional-dependencies"]; \
 	  print(*(p.replace(" ", "") for p in project["dependencies"] + more["test"] + more["dev"] if "[" not in p))')
-	@mkdir -p build; exec 9>build/.lock; flock 9; export CMAKE_BUILD_PARALLEL_LEVEL=$(JOBS); \
+	@mkdir -p build; exec 9>build/.lock; flock 9; export CMAKE_BUILD_PARALLEL_LEVEL=$(JOBS) AMRPIC_SETS="$$(cat build/.isa)"; \
 	nice $(BIN)/python -m pip install -q --disable-pip-version-check --no-build-isolation --no-deps -e .
 	@touch $@
 
@@ -194,7 +199,7 @@ NATIVE_TESTS := $(foreach name,solver_oracle poisson matrixfree composite deposi
 
 sanitize: setup  ## tests of the native side under the address and undefined behaviour sanitizers
 	@mkdir -p $(SANITIZE)/python
-	@[ -f $(SANITIZE)/build.ninja ] || cmake -G Ninja -S . -B $(SANITIZE) -DCMAKE_BUILD_TYPE=None -DAMRPIC_NATIVE_ARCH=ON \
+	@[ -f $(SANITIZE)/build.ninja ] || cmake -G Ninja -S . -B $(SANITIZE) -DCMAKE_BUILD_TYPE=None -DAMRPIC_SETS=native \
 	  -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python -DCMAKE_CXX_FLAGS="$(SANITIZERS)" >/dev/null
 	@nice ninja -C $(SANITIZE) -j $(JOBS) --quiet | { grep -v '^ninja: no work' || true; }
 	@rm -rf $(SANITIZE)/python/amrpic && cp -r amrpic $(SANITIZE)/python/ && cp $(SANITIZE)/_native_native.*.so $(SANITIZE)/_processor.*.so $(SANITIZE)/python/amrpic/

@@ -2,43 +2,29 @@
 // any.
 #include <Python.h>
 
-namespace {
+#include "processor/levels.hpp"
 
-#if defined(__x86_64__)
-bool has(int level) {
-  __builtin_cpu_init();
-  // The levels of the x86-64 psABI. The operating system's part, that it keeps the wide registers, is in these too.
-  switch (level) {
-    case 2:
-      return __builtin_cpu_supports("x86-64-v2");
-    case 3:
-      return __builtin_cpu_supports("x86-64-v3");
-    default:
-      return __builtin_cpu_supports("x86-64-v4");
-  }
-}
-#else
-bool has(int) { return false; }
-#endif
+namespace {
 
 PyObject* sets(PyObject*, PyObject*) {
   PyObject* const out = PyList_New(0);
   if (!out) return nullptr;
-  for (int level = 4; level >= 2; --level) {
-    if (!has(level)) continue;
+  bool const complete = amrpic::for_each_level([out](int level) {
     PyObject* const name = PyUnicode_FromFormat("v%d", level);
     int const failed = name ? PyList_Append(out, name) : -1;
     Py_XDECREF(name);
-    if (failed) {
-      Py_DECREF(out);
-      return nullptr;
-    }
-  }
-  return out;
+    return failed == 0;
+  });
+  if (complete) return out;
+  Py_DECREF(out);
+  return nullptr;
 }
 
+PyObject* slowed_by_wide_vectors(PyObject*, PyObject*) { return PyBool_FromLong(amrpic::slowed_by_wide_vectors()); }
+
 PyMethodDef methods[] = {
-    {"sets", sets, METH_NOARGS, "Those of the x86-64 instruction sets v4, v3, v2 that this processor has, best first."},
+    {"sets", sets, METH_NOARGS, "Those of the x86-64 instruction sets v4, v3, v2 that this processor has, fastest first."},
+    {"slowed_by_wide_vectors", slowed_by_wide_vectors, METH_NOARGS, "Whether v4 is no faster than v3 here."},
     {nullptr, nullptr, 0, nullptr}};
 
 PyModuleDef definition = {

@@ -7,7 +7,7 @@
 
 #include "base/float_lanes.hpp"
 #include "base/lane_types.hpp"
-#if defined(__AVX2__) && !defined(AMRPIC_AVX512)
+#if defined(__AVX2__) && !defined(AMRPIC_AVX512) && !defined(__CUDACC__)  // whose front end takes no halves
 #include "base/lanes_avx2.hpp"
 #else
 #include "base/lanes_in_one.hpp"

@@ -26,6 +26,17 @@ using Space = Tpetra::Map<>::node_type::execution_space;
 
 bool initialized = false;
 
+/// " on NVIDIA H100": the graphics card of kernels, empty on the host.
+std::string card_name() {
+#if defined(KOKKOS_ENABLE_CUDA)
+  return std::string(" on ") + Kokkos::Cuda().cuda_device_prop().name;
+#elif defined(KOKKOS_ENABLE_HIP)
+  return std::string(" on ") + Kokkos::HIP().hip_device_prop().name;
+#else
+  return "";
+#endif
+}
+
 // Never destroyed: an AtFinalize may outlive the static objects of this file.
 std::list<std::function<void()>>& releases() {
   static auto* list = new std::list<std::function<void()>>;
@@ -39,24 +50,31 @@ void initialize() {
   int mpi_is_up = 0;
   MPI_Initialized(&mpi_is_up);
   if (!mpi_is_up) throw std::runtime_error("MPI is not initialised: import mpi4py.MPI before amrpic._native");
-#ifdef AMRPIC_WITHOUT_TRILINOS
-  try {
-    Kokkos::initialize();
-  } catch (std::runtime_error const& error) {
-    std::string const reason = error.what();
-    throw std::runtime_error("Kokkos finds no device for its " + std::string(Space::name()) +
-                             " kernels: " + reason.substr(0, reason.find('\n')) +
-                             "; run where one is, or build amrpic with a Kokkos for processors");
-  }
-#else
+#ifndef AMRPIC_WITHOUT_TRILINOS
   // Tpetra reads argv even when there is nothing in it for Kokkos, so it gets a real one.
   static char name[] = "amrpic";
   static char* arguments[] = {name, nullptr};
   int argc = 1;
   char** argv = arguments;
   Tpetra::initialize(&argc, &argv);
-#endif
   initialized = true;
+#endif
+}
+
+void require_kokkos() {
+#ifdef AMRPIC_WITHOUT_TRILINOS
+  static std::string reason;  // Kokkos cannot be asked a second time
+  if (!initialized && reason.empty()) try {
+      Kokkos::initialize();
+      initialized = true;
+    } catch (std::exception const& error) {
+      reason = error.what();
+      reason = "Kokkos finds no device for its " + std::string(Space::name()) +
+               " kernels: " + reason.substr(0, std::min(reason.find('\n'), reason.find(" /"))) +  // source lines follow
+               "; run where one is, or set backend to \"matrix-free\"";
+    }
+  if (!initialized) throw std::runtime_error(reason);
+#endif
 }
 
 void finalize() {
@@ -87,9 +105,15 @@ std::string trilinos_version() { return TRILINOS_VERSION_STRING; }
 #endif
 
 std::string kokkos_backend() {
-  std::string version = std::to_string(KOKKOS_VERSION / 10000);
+  std::string version = "Kokkos " + std::to_string(KOKKOS_VERSION / 10000);
   for (int part : {KOKKOS_VERSION / 100 % 100, KOKKOS_VERSION % 100}) version += "." + std::to_string(part);
-  return "Kokkos " + version + " (" + Space::name() + ", concurrency " + std::to_string(Space().concurrency()) + ")";
+  try {
+    require_kokkos();
+  } catch (std::runtime_error const& error) {
+    return version + ", which cannot run here: " + error.what();
+  }
+  std::string const threads = "concurrency " + std::to_string(Space().concurrency());
+  return version + " (" + Space::name() + card_name() + ", " + threads + ")";
 }
 
 }  // namespace amrpic

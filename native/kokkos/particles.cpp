@@ -3,6 +3,7 @@
 #include <limits>
 #include <utility>
 
+#include "base/runtime.hpp"
 #include "kokkos/arrays.hpp"
 
 namespace amrpic::kokkos {
@@ -285,6 +286,7 @@ class Kernels : public TileKernels {
 }  // namespace
 
 TileKernels const& tile_kernels() {
+  require_kokkos();
   static Kernels const kernels;
   return kernels;
 }

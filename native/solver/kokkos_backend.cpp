@@ -94,6 +94,7 @@ class KokkosBackend : public MatrixFreeBackend {
 }  // namespace
 
 std::unique_ptr<Backend> make_kokkos_backend(Problem const& problem) {
+  require_kokkos();
   return std::make_unique<KokkosBackend>(problem);
 }
 

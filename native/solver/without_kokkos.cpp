@@ -8,6 +8,7 @@
 namespace amrpic {
 
 void initialize() {}
+void require_kokkos() {}
 void finalize() {}
 std::string trilinos_version() { return ""; }
 std::string kokkos_backend() { return ""; }

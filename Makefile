@@ -22,7 +22,7 @@ export OMPI_ALLOW_RUN_AS_ROOT := 1
 export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM := 1
 export OMPI_MCA_rmaps_base_oversubscribe := 1
 
-.PHONY: always stub docs gallery help setup build run test nehalem aarch64 verify impactx sanitize bench solvers lint format clean
+.PHONY: always bundle stub docs gallery help setup build run test nehalem aarch64 verify impactx sanitize bench solvers lint format clean
 
 help:  ## list the targets
 	@sed -nE 's/^([a-z0-9]+):.*## (.*)/  make \1\t\2/p' Makefile | expand -t 16
@@ -86,6 +86,11 @@ verify: setup build/waiting.so .venv/.docs .venv/.browser  ## accuracy against e
 	try mpiexec -n $(RANKS) $(BIN)/amrpic verify --quick --pareto examples/drift.toml --pareto examples/waist.toml --output $(REPORTS); \
 	try $(SLEEPING) $(BIN)/python -m pytest -m "long or browser" --need-browser $(ARGS); \
 	exit $$failed
+
+# For machines without a network: docs/machine.md.
+KIND ?= cuda
+bundle: .venv/.system  ## an archive that unpacks anywhere and runs, with kernels for graphics cards; KIND=cuda, openmp or serial
+	@docker/card/bundle $(KIND)
 
 # What the verification compares with where a peer is needed to make it.
 impactx: setup .venv/.peers  ## ImpactX's values for amrpic verify, made anew: amrpic/verify/beam_line.json

@@ -2,6 +2,7 @@
 
 #include <mpi.h>
 
+#include "base/error.hpp"
 #include "base/kokkos.hpp"
 #ifdef AMRPIC_WITHOUT_TRILINOS
 #include <Kokkos_Core.hpp>
@@ -73,7 +74,7 @@ void require_kokkos() {
                " kernels: " + reason.substr(0, std::min(reason.find('\n'), reason.find(" /"))) +  // source lines follow
                "; run where one is, or set backend to \"matrix-free\"";
     }
-  if (!initialized) throw std::runtime_error(reason);
+  if (!initialized) throw SolverError(reason);
 #endif
 }
 
@@ -109,7 +110,7 @@ std::string kokkos_backend() {
   for (int part : {KOKKOS_VERSION / 100 % 100, KOKKOS_VERSION % 100}) version += "." + std::to_string(part);
   try {
     require_kokkos();
-  } catch (std::runtime_error const& error) {
+  } catch (SolverError const& error) {
     return version + ", which cannot run here: " + error.what();
   }
   std::string const threads = "concurrency " + std::to_string(Space().concurrency());

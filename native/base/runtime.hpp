@@ -13,7 +13,7 @@ namespace amrpic {
 void initialize();
 
 /// Start a Kokkos that is built without Trilinos, at its first use: where its kernels find no device, all else of the module
-/// works. Throws std::runtime_error with the reason then, each time.
+/// works. Throws SolverError with the reason then, each time.
 void require_kokkos();
 
 /// Run all live `AtFinalize` callbacks, then stop Tpetra and Kokkos; without effect unless initialised. Collective.

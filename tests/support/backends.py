@@ -44,6 +44,13 @@ def has_trilinos() -> bool:
     return bool(_native.trilinos_version())
 
 
+def on_a_card() -> bool:
+    """Whether the default backend's kernels run on a graphics card."""
+    from amrpic import _native
+
+    return DEFAULT == "kokkos" and " on " in _native.kokkos_backend()
+
+
 def executed(backend: str) -> str:
     """The backend in whose place this one is wanted: the default for matrix-free, and for what the build lacks."""
     return backend if backend != "matrix-free" and (backend != "crs" or has_trilinos()) else DEFAULT

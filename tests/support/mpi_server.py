@@ -19,7 +19,7 @@ import mpi_rank
 
 def serve(folder: Path) -> None:
     """Run what is ordered until the launcher closes the pipe or ends."""
-    rank = int(os.environ["OMPI_COMM_WORLD_RANK"])
+    rank = int(os.environ.get("OMPI_COMM_WORLD_RANK") or os.environ["PMI_RANK"])  # of Open MPI, or of MPICH
     with (folder / f"orders{rank}").open() as orders:
         for line in orders:
             run(json.loads(line), rank)

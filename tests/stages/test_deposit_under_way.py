@@ -73,9 +73,10 @@ def test_density_is_that_of_a_deposit_at_once_and_the_same_again(comm, shape, ma
                 assert density.array(level) == pytest.approx(at_once.array(level), rel=0, abs=rounding), (case.name, of)
             starts = here.sorted_on(hierarchy).starts
             came = np.diff(np.concatenate([[0], np.cumsum(~np.isin(here.id, particles.id))])[starts])
-            waiting = np.diff(starts)[came > 0].sum()  # if all of a box did that some come to
+            by_kokkos = backends.DEFAULT == "kokkos"  # whose kernels take all boxes at once
+            waiting = len(here) if by_kokkos else np.diff(starts)[came > 0].sum()  # all of a box that some come to
             assert came.sum() <= left <= waiting, (case.name, of)
-            if case is CROWDED and of == "of all ranks" and comm.size > 1:
+            if case is CROWDED and of == "of all ranks" and comm.size > 1 and not by_kokkos:
                 assert came.sum() > 1000 and left < waiting
 
 

@@ -1,6 +1,6 @@
 """Instruction sets: the native module is built once for each, and one of these modules is loaded.
 
-The best one that the processor has is taken; the environment variable AMRPIC_ISA takes another.
+The one that is fastest on the processor is taken; the environment variable AMRPIC_ISA takes another.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from types import ModuleType, TracebackType
 
 from ._processor import sets as sets_of_the_processor
+from ._processor import slowed_by_wide_vectors
 
 VARIABLE = "AMRPIC_ISA"
 X86_64 = ("v4", "v3", "v2")  # the levels of the x86-64 psABI, best first
@@ -28,14 +29,14 @@ class InstructionSetError(ImportError):
 
 
 def built() -> dict[str, ModuleSpec]:
-    """Return where the module of each set lies that was built, best first."""
+    """Return where the module of each set lies that was built."""
     found = ((name, find_spec(f"{__package__}._native_{name}")) for name in (*ALONE, *X86_64))
     return {name: spec for name, spec in found if spec is not None}
 
 
 def available(built: Collection[str], processor: Collection[str]) -> list[str]:
-    """Return the sets that can be loaded, best first."""
-    return [name for name in built if name in ALONE or name in processor]
+    """Return the sets that can be loaded, the fastest first; `processor` names those of the processor in this order."""
+    return [name for name in (*ALONE, *processor) if name in built]
 
 
 def choose(built: Collection[str], processor: Collection[str], wanted: str = "") -> str:
@@ -77,13 +78,16 @@ def load(name: str) -> ModuleType:
 
 
 in_use = ""  # the set that is loaded
-usable: list[str] = []  # those that could have been, best first
+usable: list[str] = []  # those that could have been, the fastest first
 
 
 def description() -> str:
-    """Return which set is in use, and which others could be."""
+    """Return which set is in use and why it comes before a wider one, and which others could be."""
     others = [name for name in usable if name != in_use]
-    return f"{TITLES[in_use]}" + (f" ({VARIABLE} can choose {' or '.join(others)})" if others else "")
+    why = ""
+    if in_use == "v3" and not os.environ.get(VARIABLE) and "v4" in sets_of_the_processor() and slowed_by_wide_vectors():
+        why = ", which is as fast as v4 here: the processor's clock falls where vectors have 512 bits"
+    return f"{TITLES[in_use]}{why}" + (f" ({VARIABLE} can choose {' or '.join(others)})" if others else "")
 
 
 def _report_in_one_sentence() -> None:

@@ -14,8 +14,13 @@ using Space = Kokkos::DefaultExecutionSpace;
 template <class T>
 using Array = Kokkos::View<T*, Kokkos::LayoutLeft, Space>;
 
-/// Whether kernels read and write the host's own memory: nothing is copied then, and a row belongs to one thread.
+/// Whether kernels read and write the host's own memory: nothing is copied then, and a row belongs to one thread. AMRPIC_APART
+/// rehearses a card on the host: with copies of their own, and teams.
+#ifdef AMRPIC_APART
+constexpr bool on_host = false;
+#else
 constexpr bool on_host = std::is_same_v<Space::memory_space, Kokkos::HostSpace>;
+#endif
 
 /// A host's values as kernels have them: themselves, or a copy, which is brought up to date where the caller says so.
 template <class T>

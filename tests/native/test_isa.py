@@ -62,9 +62,14 @@ def test_all_sets_give_the_same_potential_in_the_same_cycles():
 
 @pytest.mark.parametrize(
     ("processor", "wanted", "taken"),
-    [(("v3", "v2"), "", "v3"), (("v4", "v3", "v2"), "v2", "v2"), (("v4", "v3", "v2"), "", "v4")],
+    [
+        (("v3", "v2"), "", "v3"),
+        (("v4", "v3", "v2"), "v2", "v2"),
+        (("v4", "v3", "v2"), "", "v4"),
+        (("v3", "v4", "v2"), "", "v3"),
+    ],
 )
-def test_the_best_set_of_the_processor_is_taken_unless_one_is_wanted(processor, wanted, taken):
+def test_the_fastest_set_of_the_processor_is_taken_unless_one_is_wanted(processor, wanted, taken):
     assert isa.choose(("v4", "v3", "v2"), processor, wanted) == taken
 
 
@@ -80,6 +85,18 @@ def test_the_best_set_of_the_processor_is_taken_unless_one_is_wanted(processor, 
 def test_a_set_that_cannot_run_is_refused(built, processor, wanted, sentence):
     with pytest.raises(isa.InstructionSetError, match=re.escape(sentence)):
         isa.choose(built, processor, wanted)
+
+
+def test_a_processor_that_wide_vectors_slow_down_is_named(monkeypatch):
+    monkeypatch.delenv(isa.VARIABLE, raising=False)
+    monkeypatch.setattr(isa, "sets_of_the_processor", lambda: ["v3", "v4", "v2"])
+    monkeypatch.setattr(isa, "slowed_by_wide_vectors", lambda: True)
+    monkeypatch.setattr(isa, "usable", ["v3", "v4"])
+    monkeypatch.setattr(isa, "in_use", "v3")
+    assert isa.description() == (
+        "x86-64-v3, which is as fast as v4 here: the processor's clock falls where vectors have 512 bits "
+        "(AMRPIC_ISA can choose v4)"
+    )
 
 
 def test_an_unknown_set_ends_the_process_with_one_sentence():

@@ -89,7 +89,7 @@ def quantity(value: float, unit: str, like: float | None = None) -> str:
     factor, letter = prefix_of(value if like is None else like)
     # To a thousandth of what it is compared with: the centre of a cloud of particles is not known better.
     digits = 3 - len(f"{abs(value if like is None else like) / factor:.0f}")
-    return f"{round(value / factor, digits + 1) + 0.0:g} {letter}{unit}".replace("-", "−")
+    return f"{round(value / factor, digits + 1) + 0.0:g} {letter}{unit}"
 
 
 @dataclass(frozen=True)

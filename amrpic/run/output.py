@@ -65,19 +65,18 @@ class Recorder:
         self._written: dict[str, int] = {}  # the latest step of each kind of output
         self._warned: set[str] = set()
         self._since = time.perf_counter() - sum(state.seconds.values())
-        earlier = None if resumed or not self._wanted else set_aside(comm, scene.directory)
+        self._log = RunLog(comm, scene.schedule.last_step, how=log)
+        self._log.note(f"kernels: {isa.description()}")
+        for note in () if resumed else plan.notes:
+            self._log.note(note)
+        if self._wanted and not resumed and (earlier := set_aside(comm, scene.directory)) is not None:
+            self._log.note(earlier)
         self._state_is(state)
         keep = state.step if resumed else None
         self._series = self._open(SERIES, quantities(self._levels), keep)
         self._residuals = self._open(RESIDUALS, HISTORY, keep)
         self._beam = BeamTables(comm, state, scene, self._about, keep, own or {}) if "series" in self._wanted else None
         self._status = Status(comm, scene, state.step)
-        self._log = RunLog(comm, scene.schedule.last_step, how=log)
-        self._log.note(f"kernels: {isa.description()}")
-        for note in () if resumed else plan.notes:
-            self._log.note(note)
-        if earlier is not None:
-            self._log.note(earlier)
 
     def _open(self, name: str, columns: Sequence[Quantity], keep_to_step: int | None) -> Series | None:
         if "series" not in self._wanted:

@@ -96,9 +96,10 @@ def when(file: str | Path, iteration: int | None = None, group: str | None = Non
     """
     path = Path(file)
     with _opened(path) as h5:
-        parts = base(h5, f"particle file {path}", iteration).strip("/").split("/")
-        attributes, held = h5["/".join(parts)].attrs, _particles(path, h5, iteration)
-        step = int(parts[-1]) if parts[-1].isdigit() else 0
+        where = base(h5, f"particle file {path}", iteration)
+        attributes, held = h5[where].attrs, _particles(path, h5, iteration)
+        number = where.rstrip("/").rpartition("/")[2]
+        step = int(number) if number.isdigit() else 0
         members = [held] if "position" in held else [one for one in held.values() if "position" in one]
         of_group = [one for one in members if group is None or one.name.rpartition("/")[2] == group] or members
         time = _Source(path, of_group[0]).time() if of_group else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -87,10 +88,9 @@ class Window:
         return replace(domain, lower=vector(domain.lower + self.shift), upper=vector(domain.upper + self.shift))
 
     def astray(self, domain: Domain) -> float:
-        """Return by how much, in m, a corner of the domain is shown beside its place, since the axes are turned; at most."""
-        ends = np.maximum(*np.abs(np.array([domain.lower, domain.upper]) - self.pivot))
-        turn = np.array(self.axes) - np.eye(3)
-        return float(np.linalg.norm(np.abs(turn.T) @ ends))
+        """Return by how much, in m, the corners of the domain are shown beside their places, since the axes are turned."""
+        corners = np.array(list(itertools.product(*zip(domain.lower, domain.upper, strict=True)))) - self.pivot
+        return float(np.linalg.norm(self.to_laboratory(corners) - corners, axis=1).max())
 
 
 def vector(of: ArrayLike) -> Vector:

@@ -84,6 +84,11 @@ def prefix_of(largest: float) -> tuple[float, str]:
     return 1.0, ""
 
 
+def falls_short(value: float, advised: float) -> bool:
+    """Whether a value is below one that is advised by more than 1 %: people round what they are advised."""
+    return value < 0.99 * advised
+
+
 def quantity(value: float, unit: str, like: float | None = None) -> str:
     """Return a number with its unit, in the prefix that suits it, or `like`."""
     factor, letter = prefix_of(value if like is None else like)

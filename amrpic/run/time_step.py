@@ -18,7 +18,7 @@ from ..particles.energy_bins import Frames
 from ..particles.particles import Particles
 from ..scene.motion import Leapfrog
 from ..stages.deposit import deposit
-from ..units import SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
+from ..units import SPEED_OF_LIGHT, VACUUM_PERMITTIVITY, falls_short
 from .course import Course
 from .element_strengths import Strength, strength
 from .plan import Plan
@@ -30,7 +30,6 @@ PER_PLASMA_PERIOD, LEAST_PER_PLASMA_PERIOD = 60.0, 2 * math.pi / 0.5
 PER_PERIOD, LEAST_PER_PERIOD = 1000.0, 20.0
 PER_RF_PERIOD = 640.0
 PER_LENGTH, PER_NODE = 80.0, 1.0
-ROUNDED = 1.01  # a step so much longer than advised draws no remark: people round what they are advised
 
 
 @dataclass(frozen=True)
@@ -85,7 +84,7 @@ def _remark(plan: Plan, found: list[Process]) -> None:
     for kind in dict.fromkeys(process.kind for process in found):
         same = (process for process in found if process.kind == kind)
         worst = max(same, key=lambda one: one.least / one.time if one.time > 0 else math.inf)
-        if worst.least * plan.dt > ROUNDED * worst.time:
+        if falls_short(worst.time / plan.dt, worst.least):
             plan.remark(
                 f"motion.dt of {plan.dt:.4g} s is long: {worst.time / plan.dt:.3g} steps per {worst.what}, where at least "
                 f'{worst.least:.3g} are advisable; shorten it, or set it to "auto"'

@@ -101,10 +101,28 @@ def test_files_of_several_times_are_refused_unless_the_scene_chooses(tmp_path: P
     run.advance(2)
     run.write_particles(tmp_path / "late.h5")
     bunches = [{"distribution": "openpmd", "file": str(tmp_path / f"{name}.h5")} for name in ("early", "late")]
-    with pytest.raises(InputError, match=r"early.h5 is of the time 0 s, .*late.h5 of 4.8e-11 s; set schedule.start"):
+    with pytest.raises(InputError, match=r"early\.h5 is of the time 0 s, .*late\.h5 of 4.8e-11 s; set schedule.start"):
         begun(MPI.COMM_SELF, bunches)
     assert begun(MPI.COMM_SELF, bunches, schedule={"start": "48 ps"}).time == 48e-12
     with h5py.File(tmp_path / "late.h5", "r+") as h5:
         h5["data/2/particles/electron/time"].attrs["value"] = np.nan
-    with pytest.raises(InputError, match="late.h5"):
+    with pytest.raises(InputError, match=r"late\.h5"):
         begun(MPI.COMM_SELF, bunches[1:])
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+def test_test_particles_feel_the_field_and_make_none(comm):
+    """A bunch of the same seed without self-field flies as the one that makes the field; statistics count each once."""
+    cloud = {**BEAM, "kinetic_energy": 0, "charge": "-1 pC", "cutoff": None}
+    both = [cloud, {**cloud, "self_field": False, "sampling": "sobol", "particles": 256}]
+    quiet = {"elements": [], "domain": {"lower": "-8 mm", "upper": "8 mm", "cells": 16}}
+    alone, run = begun(comm, both[:1], **quiet), begun(comm, both, **quiet)
+    np.testing.assert_allclose(run.rho.max_abs(), alone.rho.max_abs(), rtol=1e-12)
+    for one in alone, run:
+        one.advance(4)
+    np.testing.assert_allclose(momenta(run)[:300], momenta(alone), rtol=0, atol=1e-9)
+    assert 1e-6 < np.abs(momenta(run)[300:]).mean() < 10 * np.abs(momenta(alone)).mean()
+    assert run.particles.global_count(comm) == 556
+    free = begun(comm, both[1:], **quiet)
+    assert free.rho.max_abs() == 0 and free.efield.integral_of_square() == 0
+    assert free.state.moments().rms == pytest.approx([1e-3] * 3, rel=0.02)

@@ -144,7 +144,11 @@ def test_a_turned_mesh_is_shown_about_the_reference_particle(tmp_path: Path, cap
     bunch = scene(tmp_path).to_dict()["bunches"][0] | {"centre": [0.001, 0, 0.001], "direction": [0, 0.6, 0.8]}
     run = amrpic.Simulation(
         MPI.COMM_SELF,
-        scene(tmp_path, bunches=[bunch], motion={"kind": "leapfrog", "dt": "20 ps", "window": "reference", "frame": "rest"}),
+        scene(
+            tmp_path,
+            bunches=[bunch],
+            motion={"kind": "leapfrog", "dt": "20 ps", "window": "reference", "frame": "rest"},
+        ),
     )
     run.run()
     assert run.reference is not None and run.window.is_turned

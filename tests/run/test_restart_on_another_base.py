@@ -105,7 +105,7 @@ def test_another_cuboid_or_boundary_is_refused(comm, tmp_path):
 @pytest.mark.mpi(ranks=(2, 3), timeout=120)
 def test_a_mesh_that_stays_stays_on_other_ranks(comm, tmp_path):
     """Boxes are halved for as many ranks as there are; the cells are the same, and `regridded` says so."""
-    still = {"motion": amrpic.NoMotion(), "schedule": {"steps": 4}}
+    still: dict[str, Any] = {"motion": amrpic.NoMotion(), "schedule": {"steps": 4}}
     run, path = checkpoint(comm, tmp_path, **still)
     run.advance(2)
     assert not run.state.regridded

@@ -14,6 +14,7 @@ import amrpic
 from amrpic.errors import InputError
 from amrpic.io import openpmd_reader
 from amrpic.io.field_reader import open_dump
+from amrpic.scene.schedule import Schedule
 from amrpic.units import ELECTRON_MASS, SPEED_OF_LIGHT
 
 DT = 24e-12
@@ -101,6 +102,11 @@ def test_files_of_several_times_are_refused_unless_the_scene_chooses(tmp_path: P
     run.advance(2)
     run.write_particles(tmp_path / "late.h5")
     bunches = [{"distribution": "openpmd", "file": str(tmp_path / f"{name}.h5")} for name in ("early", "late")]
+    run.checkpoint(tmp_path / "checkpoint")
+    later = run.scene.model_copy(update={"schedule": Schedule(start="1 ns")})
+    again = amrpic.Simulation.restart(MPI.COMM_SELF, tmp_path / "checkpoint", later)
+    assert again.time == run.time
+    assert "schedule.start has no effect: the run goes on at the 4.8e-11 s of the checkpoint" in again.remarks
     with pytest.raises(InputError, match=r"early\.h5 is of the time 0 s, .*late\.h5 of 4.8e-11 s; set schedule.start"):
         begun(MPI.COMM_SELF, bunches)
     assert begun(MPI.COMM_SELF, bunches, schedule={"start": "48 ps"}).time == 48e-12

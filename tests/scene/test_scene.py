@@ -222,7 +222,7 @@ def test_particles_are_read_from_a_file_beside_the_scene(tmp_path):
     with pytest.raises(InputError, match=r"4 particles.*NaN"):
         first_bunch(Scene.from_toml(tmp_path / "s.toml")).arrays()
     np.savez(tmp_path / "beam.npz", position=np.ones((4, 3)) * 0.01, weight=np.array([1.0, 0.0, -2.0, 3.0]))
-    with pytest.raises(InputError, match="weight of 1 particles in .* is negative"):
+    with pytest.raises(InputError, match=r"weight of 1 particles in .* is negative"):
         first_bunch(Scene.from_toml(tmp_path / "s.toml")).arrays()
 
 

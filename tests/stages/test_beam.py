@@ -18,6 +18,7 @@ from amrpic.particles.phase_space import PhaseSpace, Plane
 from amrpic.particles.sampling import draw
 from amrpic.particles.species import Species
 from amrpic.run.initial_particles import make_particles
+from amrpic.scene.bunch_shapes import GaussianBunch
 from amrpic.scene.scene import Scene
 from amrpic.stages import beam
 from amrpic.units import ELECTRON_MASS, SPEED_OF_LIGHT
@@ -288,6 +289,6 @@ def test_a_cut_gaussian_is_the_normal_distribution_up_to_there(comm):
     }
     domain = {"lower": "-3 mm", "upper": "3 mm", "cells": 8}
     given = Scene.from_dict({"domain": domain, "bunches": [bunch]})
-    made = make_particles(comm, given)
-    assert within(made.position.T[:2] ** 2, np.array(given.bunches[0].rms[:2]) ** 2)
+    made, shape = make_particles(comm, given), given.bunches[0]
+    assert isinstance(shape, GaussianBunch) and within(made.position.T[:2] ** 2, np.array(shape.rms[:2]) ** 2)
     assert np.abs(made.position).max(axis=0) == pytest.approx([1.5e-3, 3e-3, 0], rel=1e-3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -24,6 +25,7 @@ from ..scene.scene import Scene
 from ..stages import beam
 from ..units import SPEED_OF_LIGHT
 
+SAME_TIME = 1e-12  # relative: times of files that differ by less are rounded otherwise
 NO_SPECIES = Species(charge=1.0, mass=1.0)  # of scenes without bunches
 
 
@@ -58,18 +60,18 @@ def start_of(comm: MPI.Comm, scene: Scene) -> tuple[float, list[str]]:
     """
     times = from_rank_0(comm, lambda: _times_of_files(scene), InputError)
     given = scene.schedule.start
-    distinct = sorted({time for _, time in times})
-    if given is None and len(distinct) > 1:
-        (first, at), (second, then) = times[0], next(one for one in times if one[1] != times[0][1])
+    first, at = times[0] if times else ("", 0.0)
+    start = at if given is None else given
+    others = [(file, time) for file, time in times if not math.isclose(time, start, rel_tol=SAME_TIME)]
+    if given is None and others:
         raise InputError(
-            f"{first} is of the time {at:g} s, {second} of {then:g} s; set schedule.start to the time of the run, or move the "
-            "particles of one of them to the time of the other"
+            f"{first} is of the time {at:g} s, {others[0][0]} of {others[0][1]:g} s; set schedule.start to the time of the "
+            "run, or move the particles of one of them to the time of the other"
         )
     if given is None:
-        start = distinct[0] if distinct else 0.0
-        return start, [f"schedule.start: {start:.6g} s, the time of {times[0][0]}"] if start else []
-    others = [f"{time:.6g} s of {file}" for file, time in times if time != given]
-    return given, [f"schedule.start: {given:.6g} s, in place of {', '.join(others)}"] if others else []
+        return start, [f"schedule.start: {start:.6g} s, the time of {first}"] if start else []
+    said = ", ".join(f"{time:.6g} s of {file}" for file, time in others)
+    return start, [f"schedule.start: {start:.6g} s, in place of {said}"] if others else []
 
 
 def _times_of_files(scene: Scene) -> list[tuple[str, float]]:
@@ -84,7 +86,7 @@ def _times_of_files(scene: Scene) -> list[tuple[str, float]]:
 
 def _as_asked(made: Particles, bunch: Bunch) -> Particles:
     """Return the particles of a bunch turned and moved as it asks for, and without weight if they are test particles."""
-    if not bunch.self_field and len(made) > 0 and made.weight.any():
+    if not bunch.self_field:
         made = made.with_weight(np.broadcast_to(0.0, len(made)))
     if not isinstance(bunch, MovedBunch):
         return made

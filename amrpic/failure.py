@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import io
 import os
 import select
 import sys
@@ -58,11 +59,24 @@ def is_over(collective: MPI.Request, patience: float) -> bool:
     return over
 
 
+def printable(text: str, stream: TextIO) -> str:
+    """Return a text with question marks for what the encoding of a stream does not have, as Greek letters in Latin-1."""
+    encoding = getattr(stream, "encoding", None) or "utf-8"
+    return text.encode(encoding, "replace").decode(encoding)
+
+
+def replace_unprintable() -> None:
+    """Let standard output and error take any text in any encoding, with question marks where they have no letter."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
+
+
 def say(text: str) -> None:
     """Print on stderr, after all that was printed before."""
     for stream, words in ((sys.stdout, ""), (sys.stderr, f"{text}\n")):
         try:
-            stream.write(words)
+            stream.write(printable(words, stream))
             stream.flush()
         except OSError:
             discard(stream)

@@ -84,12 +84,17 @@ def prefix_of(largest: float) -> tuple[float, str]:
     return 1.0, ""
 
 
+def falls_short(value: float, advised: float) -> bool:
+    """Whether a value is below one that is advised by more than 1 %: people round what they are advised."""
+    return value < 0.99 * advised
+
+
 def quantity(value: float, unit: str, like: float | None = None) -> str:
     """Return a number with its unit, in the prefix that suits it, or `like`."""
     factor, letter = prefix_of(value if like is None else like)
     # To a thousandth of what it is compared with: the centre of a cloud of particles is not known better.
     digits = 3 - len(f"{abs(value if like is None else like) / factor:.0f}")
-    return f"{round(value / factor, digits + 1) + 0.0:g} {letter}{unit}".replace("-", "−")
+    return f"{round(value / factor, digits + 1) + 0.0:g} {letter}{unit}"
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from importlib.metadata import version
 
 from mpi4py import MPI
 
-from ..failure import Meeting, sentence
+from ..failure import Meeting, replace_unprintable, sentence
 from ..progress import progress, reported
 from . import check, compare, doctor, plot, preview, report, run, scaling, schema, verify, watch
 from .arguments import Parser
@@ -22,6 +22,7 @@ COMMANDS = (run, check, preview, watch, report, compare, plot, schema, verify, s
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command that the arguments name and exit with its status. Collective under mpiexec."""
     meeting, show_traceback = Meeting(MPI.COMM_WORLD), False
+    replace_unprintable()
     try:
         chosen = parser().parse_args(arguments)
         show_traceback = chosen.traceback

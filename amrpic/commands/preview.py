@@ -18,6 +18,7 @@ from ..io.field_reader import LiveDump
 from ..mesh.domain import AXES
 from ..mesh.field import Field
 from ..mesh.hierarchy import Hierarchy
+from ..mesh.window import Window
 from ..particles.particles import Particles, concatenate
 from ..progress import progress
 from ..run.adapt import follow, make_base
@@ -66,10 +67,10 @@ def preview(comm: MPI.Comm, scene: Scene, ranks: int, seconds: float = 0.0) -> s
     """
     prepare(comm, scene)
     plan, notes = _plan_without_solves(comm, scene)
-    base = make_base(plan)
+    base, course = make_base(plan), Course.of_scene(scene)
     begun = time.perf_counter()
     with progress("making particles"):
-        bunches = make_bunches(comm, scene)
+        bunches = [bunch.seen_from(course.window) for bunch in make_bunches(comm, scene)]
     made_in = comm.allreduce(time.perf_counter() - begun, op=MPI.MAX)
     plan.settle_clouds(bunches)
     particles, gone = migrate(concatenate(bunches), base)
@@ -78,7 +79,7 @@ def preview(comm: MPI.Comm, scene: Scene, ranks: int, seconds: float = 0.0) -> s
     made = fields.particles.global_count(comm) + lost
     if lost:
         notes.append(f"{lost} of {made} particles lie outside the domain and would be lost")
-    settle_time_step(plan, fields.particles, fields.hierarchy, fields.frames, Course.of_scene(scene))
+    settle_time_step(plan, fields.particles, fields.hierarchy, fields.frames, course)
     notes += warnings_of(scene, fields.particles_per_cell, bunches[1:])
     paragraphs = [
         [scene.summary()],
@@ -87,7 +88,7 @@ def preview(comm: MPI.Comm, scene: Scene, ranks: int, seconds: float = 0.0) -> s
         _memory(fields, made, ranks),
         _time(comm, scene, fields.hierarchy, ranks, made_in, seconds) if seconds > 0 else [],
         [f"note: {note}" for note in [*scene.remarks(), *plan.remarks, *plan.notes, *notes]],
-        list(map(str, _pictures(scene, fields.rho))),
+        list(map(str, _pictures(scene, fields.rho, course.window))),
     ]
     return "\n\n".join("\n".join(lines) for lines in paragraphs if lines)
 
@@ -263,11 +264,11 @@ def _last_mesh(fields: ParticleFields) -> tuple[Hierarchy, str]:
 # ---- pictures ----
 
 
-def _pictures(scene: Scene, rho: Field) -> list[Path]:
+def _pictures(scene: Scene, rho: Field, window: Window) -> list[Path]:
     """Write mesh and charge density as a field file, draw them along the three axes, and return the paths. Collective."""
     path = scene.directory / FILE
-    vtkhdf_writer.write(path, rho.hierarchy, {"rho": rho}, 0, 0.0, about(scene), writers_of(scene))
-    dump = LiveDump(path, rho.hierarchy, {"rho": rho}, 0, 0.0)
+    vtkhdf_writer.write(path, rho.hierarchy, {"rho": rho}, 0, 0.0, about(scene), writers_of(scene), window)
+    dump = LiveDump(path, rho.hierarchy, {"rho": rho}, 0, 0.0, window=window)
     with progress("drawing pictures"):
         return [path, *draw(dump, path.parent, [View("rho", "projection", axis) for axis in range(len(AXES))])]
 

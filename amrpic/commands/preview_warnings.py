@@ -16,6 +16,7 @@ from ..particles.particles import Particles
 from ..scene.scene import Scene
 from ..stages.diagnostics import moments
 from ..stages.tag import living
+from ..units import falls_short
 
 CELLS_PER_SIGMA = 2.0
 PARTICLES_PER_CELL = 3.0  # in cells that hold any, on the level that holds most particles
@@ -60,7 +61,7 @@ def _of_bunch(name: str, copies: Sequence[_Extent], hierarchy: Hierarchy) -> Ite
     domain, finest = hierarchy.domain, hierarchy.spacing(hierarchy.levels - 1)
     cells = np.min([one.rms for one in copies], axis=0) / finest
     axis = int(np.argmin(cells))
-    if cells[axis] < CELLS_PER_SIGMA:
+    if falls_short(cells[axis], CELLS_PER_SIGMA):
         yield (
             f"{name} has {cells[axis]:.2g} cells of the finest level per rms size along {AXES[axis]}, where "
             f"{CELLS_PER_SIGMA:g} are advisable; raise refinement.levels or domain.cells"
@@ -72,7 +73,7 @@ def _of_bunch(name: str, copies: Sequence[_Extent], hierarchy: Hierarchy) -> Ite
             [np.abs(face - one.mean) - np.abs(getattr(one, end) - one.mean) - one.rms for one in copies], axis=0
         )
         axis = int(np.argmin(np.where(np.array(domain.periodic) | (room > 0), np.inf, distance)))
-        if not domain.periodic[axis] and room[axis] <= 0 and distance[axis] < SIGMAS_TO_WALL:
+        if not domain.periodic[axis] and room[axis] <= 0 and falls_short(distance[axis], SIGMAS_TO_WALL):
             yield (
                 f"{name} has its centre {distance[axis]:.2g} rms sizes from the face {AXES[axis]}_{side}, where "
                 f"{SIGMAS_TO_WALL:g} are advisable; enlarge the domain"
@@ -87,7 +88,7 @@ def _few_in_cells(particles_per_cell: Field) -> Iterator[str]:
     )
     level = int(np.argmax(sums[:, 0]))
     held, cells = sums[level]
-    if held > 0 and held < PARTICLES_PER_CELL * cells:
+    if held > 0 and falls_short(held / cells, PARTICLES_PER_CELL):
         yield (
             f"cells of level {level} that hold particles hold {held / cells:.2g} of them in the mean, where "
             f"{PARTICLES_PER_CELL:g} are advisable: the density is mostly noise; use more particles or fewer levels"

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from .openpmd_files import base, opened, text
+from .openpmd_files import base, dimension_text, opened, text
 
 Array = NDArray[np.float64]
 DIMENSION = {"E": (1, 1, -3, -1, 0, 0, 0), "B": (0, 1, -2, -1, 0, 0, 0)}  # m, kg, s, A, K, mol, cd
@@ -140,7 +140,7 @@ def _same(where: str, read: dict[str, tuple[Array, Array]]) -> tuple[tuple[int, 
 def _require_dimension(where: str, mesh: h5py.Group, expected: tuple[int, ...]) -> None:
     found = tuple(mesh.attrs.get("unitDimension", expected))
     if found != expected:
-        raise InputError(f"{where} has the dimension {tuple(map(float, found))}; it should be {expected}")
+        raise InputError(f"{where} has the dimension {dimension_text(found)}; it should be {dimension_text(expected)}")
 
 
 def _require_axes(where: str, mesh: h5py.Group, expected: tuple[str, ...]) -> None:

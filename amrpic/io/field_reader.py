@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..mesh.boxes import cells_of
 from ..mesh.composite import Composite, Level, LiveFields
-from ..mesh.domain import AXES
+from ..mesh.domain import AXES, Domain
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
+from ..mesh.window import AT_REST, Window, window_of
 from .checkpoint_manifest import MANIFEST, decode
 from .openpmd_files import UNREADABLE
 from .shared_file import require_parts
@@ -30,9 +31,13 @@ Array = NDArray[Any]
 class Dump(Composite):
     """A field dump, open for reading; a context manager. Values are read when they are asked for.
 
+    Its domain is where the `window` of the mesh shows it; values of vectors are along the axes of the window.
+
     Ranks of `comm` may share one: each has the boxes that are `here`. A file is not shared.
     Raises InputError if the file is missing, damaged, or something else.
     """
+
+    window: Window
 
     def __init__(self, path: Path) -> None:
         self.path = Path(path)
@@ -73,6 +78,7 @@ class Dump(Composite):
         self.step, self.time = int(ours.attrs["step"]), float(ours.attrs["time"])  # time in s
         self.version, self.seed = str(ours.attrs["version"]), int(ours.attrs["seed"])
         self.lower, self.upper = np.array(root.attrs["Origin"]), np.array(ours.attrs["upper"])  # m
+        self.window = window_of({key.removeprefix("window_"): value for key, value in ours.attrs.items()})
         self.levels = [self._read_level(root[f"Level{l}"]) for l in range(sum(key.startswith("Level") for key in root))]
         self.units = {name: str(values.attrs["unit"]) for name, values in root["Level0/CellData"].items()}
 
@@ -120,8 +126,10 @@ class CheckpointDump(Dump):
         self._parts = [self._open_part(part.file) for part in manifest.parts]
         self.step, self.time = header.step, header.time
         self.version, self.seed = header.about.version, header.about.seed
-        self.lower, self.upper = (np.array(header.domain[key], dtype=float) for key in ("lower", "upper"))  # m
-        spacing = (self.upper - self.lower) / np.array(header.domain["cells"])
+        self.window = window_of(header.extra.get("course", {}).get("window", {}))
+        domain = Domain(*(header.domain[key] for key in ("lower", "upper", "cells")))
+        spacing, shown = domain.spacing, self.window.shown(domain)
+        self.lower, self.upper = np.array(shown.lower), np.array(shown.upper)  # m
         places = [manifest.places(level) for level in range(len(header.boxes))]
         self._part_of = [part for part, _ in places]
         self.levels = [
@@ -168,9 +176,12 @@ class LiveDump(LiveFields, Dump):
         step: int,
         time: float,
         scene_text: str = "{}",
+        window: Window = AT_REST,
     ) -> None:
         """`path` is that of the dump, whether it is written or not; `time` is in s."""
         super().__init__(hierarchy, {name: field.parts for name, field in fields.items()})
+        domain = window.shown(hierarchy.domain)
+        self.lower, self.upper, self.window = np.array(domain.lower), np.array(domain.upper), window
         self.path, self.step, self.time, self._scene_text = Path(path), step, time, scene_text
 
     @property

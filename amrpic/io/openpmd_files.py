@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +62,16 @@ def chosen(where: str, key: str, names: Sequence[str], wanted: str | int | None)
         return found[0]
     what = f"no {key} {wanted}" if wanted is not None else f"{len(names)} {key}s"
     raise InputError(f"{where} holds {what}; set {key} to one of {', '.join(names) or 'another file'}")
+
+
+def dimension_text(powers: Iterable[Any]) -> str:
+    """Return a unitDimension as a product of SI units; "1" of a plain number."""
+    factors = [
+        unit if power == 1 else f"{unit}^{power:g}"
+        for unit, power in zip(("m", "kg", "s", "A", "K", "mol", "cd"), map(float, powers), strict=False)
+        if power
+    ]
+    return " ".join(factors) or "1"
 
 
 def text(value: Any) -> str:

@@ -20,6 +20,7 @@ from ..mesh.boxes import cells_of
 from ..mesh.domain import AXES
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
+from ..mesh.window import AT_REST, Window
 from . import virtual
 from .atomic_files import Hdf5Writer, publish, temporary
 from .openpmd_files import describe_file, set_text
@@ -51,11 +52,12 @@ def write(
     step: int,
     time: float,
     about: Provenance,
+    window: Window = AT_REST,
 ) -> None:
     """Write the view into the file `path`, and make its folder. Collective; raises OutputError on all ranks.
 
     `fields_file` holds the fields, as `vtkhdf_writer` wrote them; `particles_file` the particles of the step, if they were.
-    `time` is in s.
+    `time` is in s. Meshes lie where their `window` shows them, which has their axes.
     """
     attempts = Attempts(f"cannot write {path}", "free some space or choose another output folder")
 
@@ -67,7 +69,17 @@ def write(
             for level in range(hierarchy.levels):
                 boxes = boxes_as_written(hierarchy, level)
                 for name, field in fields.items():
-                    _add(h5, f"/data/{step}/fields", name, field, level, boxes, hierarchy, _from(path, fields_file))
+                    _add(
+                        h5,
+                        f"/data/{step}/fields",
+                        name,
+                        field,
+                        level,
+                        boxes,
+                        hierarchy,
+                        window,
+                        _from(path, fields_file),
+                    )
             shown = [fields_file]
             if particles_file is not None:
                 group = f"/data/{step}/particles"
@@ -95,6 +107,7 @@ def _add(
     level: int,
     boxes: NDArray[np.int64],
     hierarchy: Hierarchy,
+    window: Window,
     file: str,
 ) -> None:
     """Add the record of a field on a level."""
@@ -113,7 +126,8 @@ def _add(
     set_text(h5[record], "dataOrder", "C")
     attributes["axisLabels"] = np.array([axis.encode() for axis in reversed(AXES)])
     attributes["gridSpacing"] = spacing[::-1]
-    attributes["gridGlobalOffset"] = (np.array(hierarchy.domain.lower) + lower * spacing)[::-1]
+    attributes["gridGlobalOffset"] = (window.shown(hierarchy.domain).lower + lower * spacing)[::-1]
+    attributes["windowAxes"] = np.ravel(window.axes)  # along which x, y and z are, in the laboratory
     attributes.update(gridUnitSI=1.0, timeOffset=0.0, unitDimension=np.array(DIMENSIONS[field.unit], dtype=np.float64))
     attributes["refinementRatio"] = np.full(3, 2 if level else 1, dtype=np.uint32)
 

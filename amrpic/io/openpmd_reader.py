@@ -16,10 +16,22 @@ from ..errors import InputError, ParticleError
 from ..mesh.domain import AXES
 from ..particles.particles import Particles
 from ..particles.species import SPECIES, Species, SpeciesTable
-from .openpmd_files import base, chosen, opened, text
-from .openpmd_writer import ALIVE, DEAD
+from .openpmd_files import base, chosen, dimension_text, opened, text
+from .openpmd_writer import ALIVE, CHARGE, DEAD, LENGTH, MASS, MOMENTUM, NONE, TIME
 
 Array = NDArray[Any]
+DIMENSIONS = {  # of the records that are read, and their unit
+    "position": (LENGTH, "m"),
+    "positionOffset": (LENGTH, "m"),
+    "momentum": (MOMENTUM, "kg m/s"),
+    "momentumOffset": (MOMENTUM, "kg m/s"),
+    "weighting": (NONE, "a number"),
+    "weight": (CHARGE, "C"),
+    "charge": (CHARGE, "C"),
+    "mass": (MASS, "kg"),
+    "time": (TIME, "s"),
+    "timeOffset": (TIME, "s"),
+}
 
 
 def read(
@@ -33,7 +45,8 @@ def read(
     """Return those particles of a file whose rows `share(number of rows)` names, in order; ids count the rows.
 
     Only these rows are read. `iteration` and `group` must be given if the file holds several, `species` if it does not know its
-    own. Raises InputError, naming what is wrong with the file.
+    own. A weight of zero is that of a test particle, unless momenta are those of macroparticles. Raises InputError, naming
+    what is wrong with the file.
     """
     path = Path(file)
     with _opened(path) as h5:
@@ -76,13 +89,25 @@ def records(file: str | Path) -> list[LossRecord]:
     return out
 
 
-def when(file: str | Path) -> tuple[int, float]:
-    """Return iteration and time in s of a file of one iteration, zero where it does not know. Raises InputError."""
-    with _opened(Path(file)) as h5:
-        parts = base(h5, f"particle file {file}", None).strip("/").split("/")
-        attributes = h5["/".join(parts)].attrs
-        step = int(parts[-1]) if parts[-1].isdigit() else 0
-        return step, float(attributes.get("time", 0.0)) * float(attributes.get("timeUnitSI", 1.0))
+def when(file: str | Path, iteration: int | None = None, group: str | None = None) -> tuple[int, float | None]:
+    """Return number and time in s of an iteration, the time None where the file does not know. Raises InputError.
+
+    It is that of the particles of a group if they have one, else that of the iteration.
+    """
+    path = Path(file)
+    with _opened(path) as h5:
+        where = base(h5, f"particle file {path}", iteration)
+        attributes, held = h5[where].attrs, _particles(path, h5, iteration)
+        number = where.rstrip("/").rpartition("/")[2]
+        step = int(number) if number.isdigit() else 0
+        members = [held] if "position" in held else [one for one in held.values() if "position" in one]
+        of_group = [one for one in members if group is None or one.name.rpartition("/")[2] == group] or members
+        time = _Source(path, of_group[0]).time() if of_group else None
+        if time is None and "time" in attributes:
+            time = float(attributes["time"]) * float(attributes.get("timeUnitSI", 1.0))
+        if time is not None and not np.isfinite(time):
+            raise InputError(f"particle file {path} is of the time {time} s; write it anew with a finite one")
+        return step, time
 
 
 def _opened(path: Path) -> contextlib.AbstractContextManager[h5py.File]:
@@ -116,19 +141,46 @@ class _Source:
     def particles(self, share: Callable[[int], tuple[int, int]], species: Species | None, first_id: int) -> Particles:
         start, stop = share(self.count)
         self.rows = slice(start, stop)
+        self._require_dimensions()
+        self._require_alive_at_one_time()
         species = species or self._species()
         weight = self._weight(species)
         position, momentum = (self._vector(name) for name in ("position", "momentum"))
-        attributes = self.group["momentum"].attrs
-        if attributes.get("macroWeighted", 0):
-            momentum /= weight ** float(attributes.get("weightingPower", 1))
         for what, values in (("place", position), ("momentum", momentum)):
             finite = np.logical_and.reduce(np.isfinite(values))
             self._require(f"a {what} that is not finite", finite, "remove or correct it")
-        self._require("no positive weight", weight > 0, "remove or correct it")
-        self._require_alive_at_one_time()
+        self._require("a weight that is negative or not finite", (weight >= 0) & (weight < np.inf), "correct it")
+        attributes = self.group["momentum"].attrs
+        if attributes.get("macroWeighted", 0):
+            self._require(
+                "a weight of zero, by which the momentum of a macroparticle is divided",
+                weight > 0,
+                "remove it, or write momenta per real particle",
+            )
+            momentum /= weight ** float(attributes.get("weightingPower", 1))
         ids = np.arange(first_id + start, first_id + stop, dtype=np.int64)
         return Particles(position.T, momentum.T, weight, ids, SpeciesTable((species,)))
+
+    def time(self) -> float | None:
+        """Return the time of the first particle, s; None without particles or times."""
+        if "time" not in self.group or not self.count:
+            return None
+        return float(self._with_first_offset(self._values("time", slice(0, 1)))[0])
+
+    def _require_dimensions(self) -> None:
+        """Raise InputError for a record that states another dimension than that of what it is read as."""
+        for record, (dimension, unit) in DIMENSIONS.items():
+            if record not in self.group:
+                continue
+            member = self.group[record]
+            axes = [member[axis] for axis in AXES if axis in member] if isinstance(member, h5py.Group) else []
+            for one in (member, *axes):
+                found = np.ravel(one.attrs.get("unitDimension", dimension))
+                if not np.array_equal(found, dimension):
+                    raise InputError(
+                        f"particle file {self.path}: record {one.name} has the dimension {dimension_text(found)}, where "
+                        f"that of {unit} is expected; convert its values, and write unitDimension and unitSI of these"
+                    )
 
     def _values(self, name: str, rows: slice | None = None) -> Array:
         """Return this share of a component in SI units."""

@@ -9,6 +9,7 @@ import h5py
 import numpy as np
 
 from ..errors import InputError
+from ..mesh.window import window_of
 from ..particles.groups import Groups, NamedBunches
 from ..particles.particles import Particles, concatenate
 from ..particles.species import SpeciesTable
@@ -21,7 +22,7 @@ from .writer_ranks import one_line
 
 @dataclass(frozen=True)
 class ParticleDump:
-    """The particles of a dump, and how they are grouped."""
+    """The particles of a dump in the laboratory, and how they are grouped."""
 
     path: Path
     step: int
@@ -64,7 +65,8 @@ def _of_checkpoint(path: Path) -> ParticleDump:
     table = SpeciesTable.from_dict(header.extra["species"])
     scene = Scene.from_dict(header.about.scene, source=f"the scene in {path}")
     bunches = [NamedBunches(bunch.name, bunch.copies, bunch.number) for bunch in scene.bunches]
-    particles = Particles(position, momentum, weight, ids, table)
+    window = window_of(header.extra.get("course", {}).get("window", {}))
+    particles = Particles(position, momentum, weight, ids, table).in_laboratory(window)
     return ParticleDump(path, header.step, header.time, particles, Groups.of(table, bunches))
 
 
@@ -78,4 +80,4 @@ def _of_openpmd(path: Path) -> ParticleDump:
     table = SpeciesTable.of_runs((int(end), part.species.kinds[0]) for end, part in zip(ends[:-1], parts, strict=True))
     particles = concatenate([Particles(*part.arrays, table) for part in parts])
     step, time = openpmd_reader.when(path)
-    return ParticleDump(path, step, time, particles, Groups.of_species(table))
+    return ParticleDump(path, step, time or 0.0, particles, Groups.of_species(table))

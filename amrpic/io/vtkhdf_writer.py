@@ -47,8 +47,8 @@ def write(
 ) -> None:
     """Write fields into the file `path`, which is there whole and synced on return, or unchanged. Collective.
 
-    One or several ranks write what they receive from others in small pieces: `shared_file`. Coordinates are those of the
-    mesh; where its `window` is, is noted. Raises OutputError on all ranks.
+    One or several ranks write what they receive from others in small pieces: `shared_file`. The mesh lies where its `window`
+    shows it, which is noted. Raises OutputError on all ranks.
     """
     path = Path(path)
     attempts = Attempts(f"cannot write fields {path}", "free some space or choose another output folder")
@@ -120,7 +120,8 @@ def _describe(
     root = h5.require_group("VTKHDF")
     root.attrs["Version"] = np.array(VTKHDF_VERSION, dtype=np.int64)
     root.attrs.create("Type", np.bytes_(b"OverlappingAMR"))
-    root.attrs["Origin"] = np.array(hierarchy.domain.lower, dtype=np.float64)
+    domain = window.shown(hierarchy.domain)
+    root.attrs["Origin"] = np.array(domain.lower, dtype=np.float64)
     root.attrs.create("GridDescription", np.bytes_(b"XYZ"))
     levels = [boxes_as_written(hierarchy, level) for level in range(hierarchy.levels)]
     for level, boxes in enumerate(levels):
@@ -130,9 +131,9 @@ def _describe(
         for name, field in fields.items():
             group[f"CellData/{name}"].attrs["unit"] = field.unit
     if sum(map(len, levels)) <= yt_view.LARGEST:
-        yt_view.add(h5, hierarchy.domain, levels, {name: f.unit for name, f in fields.items()}, DATASETS, time)
+        yt_view.add(h5, domain, levels, {name: f.unit for name, f in fields.items()}, DATASETS, time)
     ours = h5.require_group("amrpic")
     ours.attrs.update(step=step, time=time, version=about.version, seed=about.seed)
-    ours.attrs["upper"] = np.array(hierarchy.domain.upper, dtype=np.float64)
-    ours.attrs.update(window_origin=window.origin, window_axes=window.axes)
+    ours.attrs["upper"] = np.array(domain.upper, dtype=np.float64)
+    ours.attrs.update(window_origin=window.origin, window_axes=window.axes, window_pivot=window.pivot)
     ours["scene"] = about.scene_text  # a dataset, since attributes end at 64 KiB

@@ -15,7 +15,7 @@ from .. import _native, html
 from ..errors import HierarchyError
 from ..parallel import Communicator, VirtualRank, own, world_by_default
 from ..units import quantity
-from .boxes import cells_of
+from .boxes import cells_of, table_of
 from .domain import BOUNDARIES, Domain
 
 
@@ -45,6 +45,17 @@ def _whole(value: int, what: str) -> int:
     if abs(number) > np.iinfo(np.int32).max:
         raise HierarchyError(f"{what} is {number}; give a number of cells below 2^31")
     return number
+
+
+def _covers(boxes: np.ndarray, others: np.ndarray) -> bool:
+    """Whether disjoint boxes (n, 6) hold all cells of other disjoint boxes (m, 6)."""
+    table, known = table_of(boxes), set(map(tuple, boxes.tolist()))
+    for lower, upper in ((row[:3], row[3:]) for row in others.tolist() if tuple(row) not in known):
+        near = boxes[table.meeting(lower, upper)].astype(np.int64)
+        common = np.minimum(near[:, 3:], upper) - np.maximum(near[:, :3], lower) + 1
+        if common.prod(axis=1).sum() < np.prod(np.subtract(upper, lower) + 1):
+            return False
+    return True
 
 
 class Hierarchy:
@@ -171,6 +182,16 @@ class Hierarchy:
             self.domain == other.domain
             and self.levels == other.levels
             and all(self.native.same_boxes(other.native, l) for l in range(self.levels))
+        )
+
+    def same_cells(self, other: Hierarchy) -> bool:
+        """Whether both have the same cells on each level of one domain, whatever boxes these are in. Local."""
+        return (
+            (self.domain.lower, self.domain.upper, self.domain.cells)
+            == (other.domain.lower, other.domain.upper, other.domain.cells)
+            and self.levels == other.levels
+            and all(self.cells(level) == other.cells(level) for level in range(self.levels))
+            and all(_covers(self.boxes(level), other.boxes(level)) for level in range(self.levels))
         )
 
     def _checked(self, level: int) -> int:

@@ -143,7 +143,7 @@ def plane(
         xlim=extent[0],
         ylim=extent[1],
     )
-    panel.set_title(title, fontsize="medium")
+    panel.set_title(title.replace("-", "−"), fontsize="medium")
     colours = figure.colorbar(image, cax=bar, label="" if kinds else label)
     if isinstance(norm, SymLogNorm):
         colours.set_ticks(_decades(norm.linthresh, float(norm.vmax or 1)))
@@ -201,7 +201,7 @@ def curve(distance: Array, values: Array, symbol: str, unit: str, title: str) ->
     length, length_prefix = prefix_of(float(np.abs(distance).max()))
     draw_curve(panel, distance / length, values, symbol, unit)
     panel.set_xlabel(f"distance along the line / {length_prefix}m")
-    panel.set_title(title, fontsize="medium")
+    panel.set_title(title.replace("-", "−"), fontsize="medium")
     return figure
 
 

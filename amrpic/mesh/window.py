@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+
+from .domain import Domain
 
 Vector = tuple[float, float, float]
 UNTURNED = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -13,10 +18,15 @@ UNTURNED = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 @dataclass(frozen=True)
 class Window:
-    """Coordinates of the mesh and its particles: their origin (m) and unit vectors in the laboratory."""
+    """Coordinates of the mesh and its particles: their origin (m) and unit vectors in the laboratory.
+
+    Formats of meshes know no turned axes. Files and pictures show a turned mesh along the axes of the laboratory, so that the
+    place `pivot` (m, in the window) is where it is: that of the particle with which the window turns.
+    """
 
     origin: Vector = (0.0, 0.0, 0.0)
     axes: tuple[Vector, Vector, Vector] = UNTURNED
+    pivot: Vector = (0.0, 0.0, 0.0)
 
     @property
     def is_turned(self) -> bool:
@@ -24,7 +34,7 @@ class Window:
 
     def at(self, origin: np.ndarray) -> Window:
         """Return the window with its origin (3,) in m elsewhere in the laboratory."""
-        return Window(vector(origin), self.axes)
+        return replace(self, origin=vector(origin))
 
     def turned(self, before: np.ndarray, after: np.ndarray) -> Window:
         """Return the window turned by the smallest turn that takes the line along `before` (3,) into that along `after` (3,).
@@ -44,7 +54,7 @@ class Window:
         x, y, _ = axes = axes / np.linalg.norm(axes, axis=1)[:, None]
         y = y - x * (x @ y)  # what rounding leaves does not grow from turn to turn
         y /= np.linalg.norm(y)
-        return Window(self.origin, (vector(x), vector(y), vector(np.cross(x, y))))
+        return replace(self, axes=(vector(x), vector(y), vector(np.cross(x, y))))
 
     def shift_to(self, other: Window) -> Vector:
         """Return where the origin of another window is in this one, m."""
@@ -66,6 +76,22 @@ class Window:
         """Return places (..., 3) in the laboratory, m, of positions in the window."""
         return self.to_laboratory(positions) + self.origin
 
+    @property
+    def shift(self) -> np.ndarray:
+        """By how much (3,), in m, the mesh is moved from its own coordinates to where files and pictures show it."""
+        return self.places(np.array(self.pivot)) - self.pivot if self.is_turned else np.array(self.origin)
+
+    def shown(self, domain: Domain) -> Domain:
+        """Return the domain of the mesh where files and pictures show it."""
+        if not self.shift.any():
+            return domain
+        return replace(domain, lower=vector(domain.lower + self.shift), upper=vector(domain.upper + self.shift))
+
+    def astray(self, domain: Domain) -> float:
+        """Return by how much, in m, the corners of the domain are shown beside their places, since the axes are turned."""
+        corners = np.array(list(itertools.product(*zip(domain.lower, domain.upper, strict=True)))) - self.pivot
+        return float(np.linalg.norm(self.to_laboratory(corners) - corners, axis=1).max())
+
 
 def vector(of: ArrayLike) -> Vector:
     """Return three numbers."""
@@ -74,3 +100,9 @@ def vector(of: ArrayLike) -> Vector:
 
 
 AT_REST = Window()  # the coordinates of the laboratory
+
+
+def window_of(values: Mapping[str, Any]) -> Window:
+    """Return the window of its `origin`, `axes` and `pivot` as files have them; what older ones lack is as at rest."""
+    x, y, z = (vector(axis) for axis in values.get("axes", UNTURNED))
+    return Window(vector(values.get("origin", (0, 0, 0))), (x, y, z), vector(values.get("pivot", (0, 0, 0))))

@@ -41,18 +41,17 @@ class Recorder:
         self._wanted, self._about, self._writers = set(scene.output.write), about(scene), writers_of(scene)
         self._written: dict[str, int] = {}
         self._since = time.perf_counter()
-        earlier = None if resumed or not self._wanted else set_aside(plan.comm, scene.directory)
+        self._log = RunLog(plan.comm, scene.schedule.last_step, how=log, line=step_line)
+        self._log.note(f"kernels: {isa.description()}")
+        for remark in scene.remarks():
+            self._log.warn(remark)
+        if self._wanted and not resumed and (earlier := set_aside(plan.comm, scene.directory)) is not None:
+            self._log.note(earlier)
         self._series: Series | None = None
         if "series" in self._wanted:
             keep = state.step if resumed else None
             self._series = Series(plan.comm, scene.directory / SERIES, quantities(scene), self._about, keep)
         self._status = Status(plan.comm, scene, state.step)
-        self._log = RunLog(plan.comm, scene.schedule.last_step, how=log, line=step_line)
-        self._log.note(f"kernels: {isa.description()}")
-        for remark in scene.remarks():
-            self._log.warn(remark)
-        if earlier is not None:
-            self._log.note(earlier)
 
     def __enter__(self) -> Recorder:
         self._log.__enter__()

@@ -7,17 +7,37 @@ wherever they can be, so that quasi-random numbers stay quiet. Fourth moments <x
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 import numpy as np
 import scipy
 
 from .thermal_equilibrium import squared_radius
 
 DRAWS = 7
+SHORT = 0.02  # below it the difference of two terms loses more digits than a series
 
 
 def gaussian(u: np.ndarray) -> np.ndarray:
     """Normal along all axes."""
     return scipy.special.ndtri(u[:6])
+
+
+def cut_gaussian(u: np.ndarray, cutoff: Sequence[float]) -> np.ndarray:
+    """Normal along all axes, x, y and z within `cutoff` (3,) of 0: their variance is `cut_rms`². Momenta are whole."""
+    most = np.array(cutoff)[:, None]
+    tails = scipy.special.ndtr(-most)
+    places = np.clip(scipy.special.ndtri(tails + (1 - 2 * tails) * u[:3]), -most, most)
+    return np.concatenate([places, scipy.special.ndtri(u[3:6])])
+
+
+def cut_rms(cutoff: float) -> float:
+    """Return the rms of a normal number of variance 1 that is within `cutoff` of 0."""
+    if cutoff < SHORT:  # nearly even; the next term is of the order of cutoff⁴
+        return cutoff / math.sqrt(3) * (1 - cutoff**2 / 15)
+    inside = math.erf(cutoff / math.sqrt(2))
+    return math.sqrt(1 - math.sqrt(2 / math.pi) * cutoff * math.exp(-(cutoff**2) / 2) / inside)
 
 
 def ball(u: np.ndarray) -> np.ndarray:

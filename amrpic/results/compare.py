@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from ..io import openpmd_reader, particle_reader, time_series
 from ..mesh.domain import AXES
 from ..mesh.field import Field, VectorField
-from ..mesh.surroundings import Lattice
 from ..particles.particles import Particles
 from ..scene.differences import differences
 from ..units import SPEED_OF_LIGHT
@@ -178,6 +177,10 @@ def _fields(one: Results, other: Results, remarks: list[str]) -> Iterator[Differ
     step = _latest_common([one.fields, other.fields])
     mine, theirs = one.fields[step], other.fields[step]
     names = [name for name in mine if name in theirs]
+    if mine.window != theirs.window:  # fields are compared place by place on the mesh
+        way = float(np.abs(mine.window.shift - theirs.window.shift).max())
+        yield Difference("place of the mesh over its size", way / _extent(mine), f"at step {step}")
+        mine, theirs = mine.at_rest, theirs.at_rest
     domains = [fields.hierarchy.domain for fields in (mine, theirs)]
     if (domains[0].lower, domains[0].upper) != (domains[1].lower, domains[1].upper):
         yield Difference("domain", math.inf, f"the fields of step {step} live on two domains; their norms are compared")
@@ -186,7 +189,7 @@ def _fields(one: Results, other: Results, remarks: list[str]) -> Iterator[Differ
             yield from _of_norms(name, step, {kind: abs(a.norm(kind) - b.norm(kind)) for kind in NORMS}, (a, b))
         return
     moved: Mapping[str, Field | VectorField] = theirs.on(mine.hierarchy)
-    if not _same_cells(mine, theirs):
+    if not mine.hierarchy.same_cells(theirs.hierarchy):
         moved = {name: theirs[name].remap(mine.hierarchy) for name in names}
         remarks.append(
             f"the meshes of step {step} differ; fields of the second run are carried to the mesh of the first"
@@ -195,6 +198,12 @@ def _fields(one: Results, other: Results, remarks: list[str]) -> Iterator[Differ
         apart = _apart(mine[name], moved[name])
         both = _scalar(mine[name]), _scalar(moved[name])
         yield from _of_norms(name, step, {kind: apart.norm(kind) for kind in NORMS}, both)
+
+
+def _extent(fields: DumpedFields) -> float:
+    """Return the longest edge of the domain, m."""
+    domain = fields.hierarchy.domain
+    return float(np.max(np.subtract(domain.upper, domain.lower)))
 
 
 NORMS = ("l2", "max")
@@ -206,19 +215,6 @@ def _of_norms(name: str, step: int, apart: Mapping[str, float], both: Sequence[F
         scale = max(field.norm(kind) for field in both)
         relative = difference / scale if scale > 0 else difference
         yield Difference(f"{name} in the {kind} norm", relative, f"at step {step}")
-
-
-def _same_cells(mine: DumpedFields, theirs: DumpedFields) -> bool:
-    """Whether both have the same cells on each level, whatever boxes these are in."""
-    a, b = mine.hierarchy, theirs.hierarchy
-    if a.domain.cells != b.domain.cells or a.levels != b.levels:
-        return False
-    lattice = Lattice(b)
-    return all(
-        a.cells(level) == b.cells(level)
-        and all(lattice.held(level, box[:3], box[3:]).all() for box in a.boxes(level).astype(np.int64))
-        for level in range(a.levels)
-    )
 
 
 def _apart(one: Field | VectorField, other: Field | VectorField) -> Field:

@@ -13,10 +13,11 @@ from mpi4py import MPI
 
 from ..errors import InputError
 from ..io.field_reader import Dump, open_dump
-from ..mesh.domain import AXES
+from ..mesh.domain import AXES, Domain
 from ..mesh.field import Field, Holds, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.patch import Patch
+from ..mesh.window import AT_REST, Window
 from ..parallel import together
 from ..scene.scene import Scene
 
@@ -37,7 +38,10 @@ def scene_of(data: Mapping[str, Any], path: Path) -> Scene:
 
 @dataclass(frozen=True)
 class DumpedFields(Mapping[str, Field | VectorField]):
-    """The fields of one dump by name, `["phi"]` or `.phi`; each rank reads its boxes when a field is asked for."""
+    """The fields of one dump by name, `["phi"]` or `.phi`; each rank reads its boxes when a field is asked for.
+
+    They are where the `window` of the mesh shows them: in the laboratory, except for the turn of its axes.
+    """
 
     path: Path
     step: int
@@ -45,6 +49,8 @@ class DumpedFields(Mapping[str, Field | VectorField]):
     hierarchy: Hierarchy
     units: Mapping[str, str]
     potential_holds: Holds
+    mesh: Domain  # in its own coordinates
+    window: Window = AT_REST
     _read: dict[str, Field | VectorField] = field(default_factory=dict, repr=False)
 
     @classmethod
@@ -54,9 +60,18 @@ class DumpedFields(Mapping[str, Field | VectorField]):
             scene = scene_of(json.loads(dump.scene_text), path)
             step, time, units = dump.step, dump.time, dict(dump.units)
             boxes = [level.boxes for level in dump.levels[1:]]
+            mesh, window = scene.domain.value, dump.window
         sizes = scene.refinement.max_grid_size, scene.refinement.blocking_factor
-        hierarchy = Hierarchy(comm, scene.domain.value, boxes, *sizes)
-        return cls(path, step, time, hierarchy, units, scene.solver.potential_holds)
+        hierarchy = Hierarchy(comm, window.shown(mesh), boxes, *sizes)
+        return cls(path, step, time, hierarchy, units, scene.solver.potential_holds, mesh, window)
+
+    @property
+    def at_rest(self) -> DumpedFields:
+        """The same fields in the coordinates of the mesh. Collective to make."""
+        here = self.hierarchy
+        boxes = [here.boxes(level) for level in range(1, here.levels)]
+        sizes = here.max_grid_size, here.blocking_factor
+        return replace(self.on(Hierarchy(here.comm, self.mesh, boxes, *sizes)), window=AT_REST)
 
     def on(self, hierarchy: Hierarchy) -> DumpedFields:
         """The same fields on another hierarchy; nan in cells that the dump does not have."""

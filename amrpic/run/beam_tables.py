@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from mpi4py import MPI
@@ -104,6 +105,11 @@ class BeamTables:
     def _record_beam(self, state: State) -> None:
         comm, groups, beam = self._comm, self._groups, state.beam
         moments = group_moments(comm, beam, groups)
+        if not any(part.weight > 0 for part in moments.values()):  # test particles alone, of which each counts as one
+            ones = beam.particles.with_weight(np.broadcast_to(1.0, len(beam.particles)))
+            groups = replace(groups, species=tuple(replace(one, charge=0.0) for one in groups.species))
+            beam = replace(beam, particles=ones)
+            moments = group_moments(comm, beam, groups)
         quantiles = group_quantiles(comm, beam, groups, moments)
         lost = group_losses(comm, state.lost.particles, groups)
         at: dict[str, float | str] = {"step": state.step, "time": state.time, "s": state.course.path}

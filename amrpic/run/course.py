@@ -12,7 +12,7 @@ import numpy as np
 from .. import _native
 from ..external import ExternalFields
 from ..mesh.domain import AXES
-from ..mesh.window import AT_REST, Vector, Window, vector
+from ..mesh.window import AT_REST, Vector, Window, vector, window_of
 from ..scene.motion import Leapfrog
 from ..scene.scene import Scene
 from ..stages.push import pusher_of
@@ -105,16 +105,15 @@ class Course:
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Course:
         """Return the course that `to_dict` gave."""
-        window, reference = values["window"], values["reference"]
-        x, y, z = map(tuple, window["axes"])
+        reference = values["reference"]
         if reference is not None:
             vectors = {key: tuple(reference[key]) for key in ("position", "momentum")}
             reference = Reference(**{**reference, **vectors})
-        return cls(reference, Window(tuple(window["origin"]), (x, y, z)), values["goes"])
+        return cls(reference, window_of(values["window"]), values["goes"])
 
 
 def _turned(window: Window, now: Reference, direction: np.ndarray, then: Reference) -> Window:
     """Return the window that goes with a particle and turns from a direction to its new one: it keeps its place on the mesh."""
     place = window.from_laboratory(np.subtract(now.position, window.origin))
     turned = window.turned(direction, np.array(then.momentum))
-    return turned.at(then.position - turned.to_laboratory(place))
+    return replace(turned.at(then.position - turned.to_laboratory(place)), pivot=vector(place))

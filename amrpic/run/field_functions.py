@@ -14,6 +14,7 @@ from ..mesh.window import Window
 from ..parallel import call_together
 from ..particles.arrays import empty_columns
 from ..particles.particles import Particles
+from ..scene.units import with_article
 
 Components = Sequence[ArrayLike]
 FieldFunction = Callable[[np.ndarray, np.ndarray, np.ndarray, float], tuple[Components, Components]]
@@ -92,4 +93,4 @@ def _shapes(given: Any) -> str:
         return f"an array of shape {given.shape}"
     if isinstance(given, tuple | list):
         return f"{len(given)} values of shapes {', '.join(str(np.shape(one)) for one in given) or 'none'}"
-    return f"a {type(given).__name__}"
+    return with_article(type(given).__name__)

@@ -33,8 +33,10 @@ def causes(scene: Scene) -> tuple[str, ...]:
     return (*FACES, *aperture_names(scene.apertures))
 
 
-def place(bunches: list[Particles], base: Hierarchy, window: Window, plan: Plan) -> tuple[Particles, Record, Record]:
-    """Return the particles of bunches at their start, and records of losses, of those outside, and of screens. Collective.
+def place(
+    bunches: list[Particles], base: Hierarchy, window: Window, plan: Plan, start: float
+) -> tuple[Particles, Record, Record]:
+    """Return the particles of bunches at their start (s), and records of losses, of those outside, and of screens. Collective.
 
     It is known who serves which before any particle moves. They go there in portions, for which the list is emptied, so that no
     rank holds many more than its part at any time.
@@ -48,7 +50,7 @@ def place(bunches: list[Particles], base: Hierarchy, window: Window, plan: Plan)
         portions.append(here)
         left = Flights(made.position, made.position, base.domain, window, window).exits(outside)
         momentum = window.to_laboratory(made.momentum[outside])
-        lost = lost.joined(_record(left, momentum, made, np.zeros(len(left)), causes(scene)))
+        lost = lost.joined(_record(left, momentum, made, np.full(len(left), start), causes(scene)))
         del made, here  # else they live beside what follows
     particles = portions[0] if len(portions) == 1 else arranged(portions, base, servers)
     return particles, lost, Record.empty(species, [screen.name for screen in scene.screens])

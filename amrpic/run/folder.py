@@ -66,7 +66,13 @@ class Claim:
                 self._lock(directory)
 
     def _lock(self, directory: Path) -> None:
-        self._file = os.open(directory / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            self._file = os.open(directory / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
+        except OSError as reason:
+            raise OutputError(
+                f"{directory / LOCK}, by which a run holds its folder, cannot be opened ({reason.strerror}); remove it, or "
+                "choose another folder by --output"
+            ) from None
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as reason:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -10,19 +11,21 @@ import numpy as np
 from mpi4py import MPI
 
 from ..errors import InputError
+from ..external import axes
 from ..io import openpmd_reader
 from ..io.vetting import require_readable_on_all
-from ..parallel import share, together
+from ..parallel import from_rank_0, share, together
 from ..particles.frame import LARGEST_MOMENTUM
 from ..particles.particles import Particles, concatenate
 from ..particles.phase_space import PhaseSpace
 from ..particles.species import Species, SpeciesTable
-from ..scene.bunch_files import ArrayBunch, OpenPMDBunch
+from ..scene.bunch_files import ArrayBunch, MovedBunch, OpenPMDBunch
 from ..scene.bunches import Bunch, LatticeBunch, Train
 from ..scene.scene import Scene
 from ..stages import beam
 from ..units import SPEED_OF_LIGHT
 
+SAME_TIME = 1e-12  # relative: times of files that differ by less are rounded otherwise
 NO_SPECIES = Species(charge=1.0, mass=1.0)  # of scenes without bunches
 
 
@@ -39,10 +42,10 @@ def make_bunches(comm: MPI.Comm, scene: Scene) -> list[Particles]:
     require_readable_on_all(comm, [Path(bunch.file) for bunch in scene.bunches if isinstance(bunch, OpenPMDBunch)])
     parts, first_id = [Particles.empty(SpeciesTable((NO_SPECIES,)))], 0
     runs: list[tuple[int, Species]] = []
-    for bunch in scene.bunches:
+    for number, bunch in enumerate(scene.bunches):
         with together(comm, InputError):
-            made = _bunch(comm, scene, bunch, first_id)
-            _require_momenta(made)
+            made = [_as_asked(one, bunch) for one in _bunch(comm, scene, bunch, first_id)]
+            _require_momenta(made, f"bunches.{number}" + (f" ({bunch.source})" if bunch.source else ""))
         parts += made
         runs.append((first_id, made[0].species.kinds[0]))
         first_id += comm.allreduce(sum(map(len, made)))
@@ -50,13 +53,58 @@ def make_bunches(comm: MPI.Comm, scene: Scene) -> list[Particles]:
     return [replace(part, species=table) for part in parts]
 
 
-def _require_momenta(made: list[Particles]) -> None:
+def start_of(comm: MPI.Comm, scene: Scene) -> tuple[float, list[str]]:
+    """Return the time in s at which a scene starts, and a sentence for the log if that is not plain from the scene.
+
+    Collective; InputError on all ranks if files of bunches are of several times and the scene does not choose one.
+    """
+    times = from_rank_0(comm, lambda: _times_of_files(scene), InputError)
+    given = scene.schedule.start
+    first, at = times[0] if times else ("", 0.0)
+    start = at if given is None else given
+    others = [(file, time) for file, time in times if not math.isclose(time, start, rel_tol=SAME_TIME)]
+    if given is None and others:
+        raise InputError(
+            f"{first} is of the time {at:g} s, {others[0][0]} of {others[0][1]:g} s; set schedule.start to the time of the "
+            "run, or move the particles of one of them to the time of the other"
+        )
+    if given is None:
+        return start, [f"schedule.start: {start:.6g} s, the time of {first}"] if start else []
+    said = ", ".join(f"{time:.6g} s of {file}" for file, time in others)
+    return start, [f"schedule.start: {start:.6g} s, in place of {said}"] if others else []
+
+
+def _times_of_files(scene: Scene) -> list[tuple[str, float]]:
+    """Return the openPMD files of bunches that know their time, and this in s."""
+    found = []
+    for bunch in scene.bunches:
+        if isinstance(bunch, OpenPMDBunch):
+            _, time = openpmd_reader.when(bunch.file, bunch.iteration, bunch.group)
+            found += [] if time is None else [(bunch.file, time)]
+    return found
+
+
+def _as_asked(made: Particles, bunch: Bunch) -> Particles:
+    """Return the particles of a bunch turned and moved as it asks for, and without weight if they are test particles."""
+    if not bunch.self_field:
+        made = made.with_weight(np.broadcast_to(0.0, len(made)))
+    if not isinstance(bunch, MovedBunch):
+        return made
+    turned = np.array(axes(bunch.axis, bunch.roll))  # rows are where its own axes point to
+    position, momentum = made.position, made.momentum
+    if (turned != np.eye(3)).any():
+        position, momentum = position @ turned, momentum @ turned
+    return made.replace(position + bunch.shift if any(bunch.shift) else position, momentum)
+
+
+def _require_momenta(made: list[Particles], name: str) -> None:
     """Raise InputError if momenta of this rank's particles are too large to be true, and for the sums that follow."""
     for bunch in made:
         largest = np.abs(bunch.momentum).max(initial=0.0)
         if largest > LARGEST_MOMENTUM * SPEED_OF_LIGHT * bunch.species.masses.min():
             raise InputError(
-                f"a bunch has a momentum of {largest:.3g} kg m/s, more than {LARGEST_MOMENTUM:g} m c; correct momenta"
+                f"{name} has a momentum of {largest:.3g} kg m/s at id {bunch.id[np.abs(bunch.momentum).max(axis=1).argmax()]}, "
+                f"more than {LARGEST_MOMENTUM:g} m c; correct momenta"
             )
 
 

@@ -14,7 +14,7 @@ from typing import Literal, TextIO
 
 from mpi4py import MPI
 
-from ..failure import discard
+from ..failure import discard, printable
 from ..progress import progress
 
 Log = Literal["print", "logging", "silent"]
@@ -95,7 +95,7 @@ class RunLog:
     def _print(self, line: str, stream: TextIO) -> None:
         """Print a line; a stream that takes no more, as on a full disk, does not end a run."""
         try:
-            print(line, file=stream, flush=True)
+            print(printable(line, stream), file=stream, flush=True)
             progress.spoke()
         except OSError as error:
             self._speaks = False

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import TracebackType
 
 from mpi4py import MPI
@@ -19,7 +19,7 @@ from ..mesh.field import Field, VectorField
 from ..parallel import together
 from ..results.run_results import SERIES
 from ..stages.diagnostics import measure, quantities
-from ..units import Quantity
+from ..units import Quantity, quantity
 from ..view.draw import drawn
 from ..view.views import OVERVIEW
 from .beam_tables import BeamTables, Diagnostic
@@ -64,20 +64,20 @@ class Recorder:
         self._levels = scene.refinement.levels + 1
         self._written: dict[str, int] = {}  # the latest step of each kind of output
         self._warned: set[str] = set()
+        self._turned = False  # whether it was remarked that files show the mesh along other axes than its own
         self._since = time.perf_counter() - sum(state.seconds.values())
-        earlier = None if resumed or not self._wanted else set_aside(comm, scene.directory)
+        self._log = RunLog(comm, scene.schedule.last_step, how=log)
+        self._log.note(f"kernels: {isa.description()}")
+        for note in () if resumed else plan.notes:
+            self._log.note(note)
+        if self._wanted and not resumed and (earlier := set_aside(comm, scene.directory)) is not None:
+            self._log.note(earlier)
         self._state_is(state)
         keep = state.step if resumed else None
         self._series = self._open(SERIES, quantities(self._levels), keep)
         self._residuals = self._open(RESIDUALS, HISTORY, keep)
         self._beam = BeamTables(comm, state, scene, self._about, keep, own or {}) if "series" in self._wanted else None
         self._status = Status(comm, scene, state.step)
-        self._log = RunLog(comm, scene.schedule.last_step, how=log)
-        self._log.note(f"kernels: {isa.description()}")
-        for note in () if resumed else plan.notes:
-            self._log.note(note)
-        if earlier is not None:
-            self._log.note(earlier)
 
     def _open(self, name: str, columns: Sequence[Quantity], keep_to_step: int | None) -> Series | None:
         if "series" not in self._wanted:
@@ -120,7 +120,7 @@ class Recorder:
                 self._log.warn(
                     "all particles have left the domain or met apertures; enlarge them, or shorten the run or its steps"
                 )
-            for remark in remarks:
+            for remark in [*remarks, *self._astray(state)]:
                 if remark not in self._warned:
                     self._warned.add(remark)
                     self._log.warn(remark)
@@ -139,6 +139,19 @@ class Recorder:
                 self._write_checkpoint(state)
             self._status.says(self._plan.notes, self._log.warned)
             self._status.step(row, self._log.pace, self._plan.dt, self._written)
+
+    def _astray(self, state: State) -> Iterator[str]:
+        """Remark once that files and pictures show a mesh that has turned along the axes of the laboratory."""
+        domain, window = state.hierarchy.domain, state.window
+        if not (self._wanted & {"fields", "pictures"} and window.is_turned) or self._turned:
+            return
+        if (astray := window.astray(domain)) > domain.spacing.min():
+            self._turned = True
+            yield (
+                f"from step {state.step} on the mesh is turned so far that files and pictures, which show it along the axes of "
+                f"the laboratory about the reference particle, have its corners {quantity(astray, 'm')} beside their places, "
+                "more than a base cell; its axes are in the files, and files of particles are in the laboratory"
+            )
 
     def end(self, state: State, stop: Callable[[], str | None]) -> str | None:
         """Write what the end of a run leaves; the momenta are to be of its time.
@@ -266,6 +279,7 @@ class Recorder:
             step,
             state.time,
             self._about,
+            state.window,
         )
 
     def _write_records(self, state: State) -> None:
@@ -278,7 +292,9 @@ class Recorder:
     def _draw(self, state: State, stop: Callable[[], str | None]) -> str | None:
         """Draw what a field dump of a state shows, or would show, until `stop()` gives a reason, which is returned."""
         path = vtkhdf_writer.path_of(self._scene.directory, state.step)
-        pictures = drawn(LiveDump(path, state.hierarchy, _shown(state), state.step, state.time), path.parent)
+        pictures = drawn(
+            LiveDump(path, state.hierarchy, _shown(state), state.step, state.time, window=state.window), path.parent
+        )
         for _ in OVERVIEW:
             if (reason := stop()) is not None:
                 return reason

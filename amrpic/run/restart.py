@@ -257,6 +257,8 @@ def _remarks(scene: Scene, header: Header) -> list[str]:
         out.append("the mesh is made anew, and the field solved on it: the base or the sizes of boxes are other ones")
     if now["bunches"] != made_from["bunches"]:
         out.append("bunches of the scene differ from those of the checkpoint, whose particles go on as they are")
+    if scene.schedule.start is not None and scene.schedule.start != made_from["schedule"].get("start"):
+        out.append(f"schedule.start has no effect: the run goes on at the {header.time:.6g} s of the checkpoint")
     changed = [
         f"{path} is {_text(value)}, before {_text(before)}"
         for part in FOLLOWED

@@ -18,7 +18,7 @@ from .adapt import follow, make_base, outrun
 from .clock import Spent
 from .course import Course
 from .flight import fly, place
-from .initial_particles import make_bunches
+from .initial_particles import make_bunches, start_of
 from .leapfrog import kick_and_drift
 from .particle_fields import ParticleFields
 from .plan import Plan
@@ -40,7 +40,8 @@ def advance(state: State, plan: Plan) -> State:
     fields = ParticleFields(particles, state.hierarchy, plan, state.solution, frames, deposition)
     if plan.scene.refinement.regrids_at(step) or outrun(fields):
         fields = follow(fields, plan.scene.refinement.hysteresis)
-    regridded = fields.hierarchy is not state.hierarchy
+    # Boxes may be cut anew without another cell, as after a restart on other ranks.
+    regridded = fields.hierarchy is not state.hierarchy and not fields.hierarchy.same_cells(state.hierarchy)
     return state_of(plan, fields.particles, fields.solution, lost, screens, course, step, now, plan.dt / 2, regridded)
 
 
@@ -51,12 +52,16 @@ def begin(plan: Plan) -> State:
         bunches = [bunch.seen_from(course.window) for bunch in make_bunches(plan.comm, plan.scene)]
         plan.settle_clouds(bunches)
         made = plan.comm.allreduce(sum(map(len, bunches)))
-        _require_mostly_inside(plan.comm, bunches, base.domain)
-        particles, lost, screens = place(bunches, base, course.window, plan)
+        for sentence in _require_mostly_inside(plan.comm, bunches, base.domain):
+            plan.remark(sentence)
+        start, notes = start_of(plan.comm, plan.scene)
+        for sentence in notes:
+            plan.note(sentence)
+        particles, lost, screens = place(bunches, base, course.window, plan, start)
     _require_some_inside(plan.comm, particles, made)
     fields = follow(ParticleFields(particles, base, plan))
     settle_time_step(plan, fields.particles, fields.hierarchy, fields.frames, course)
-    return state_of(plan, fields.particles, fields.solution, lost, screens, course, 0, 0.0)
+    return state_of(plan, fields.particles, fields.solution, lost, screens, course, 0, start)
 
 
 def state_of(
@@ -113,8 +118,11 @@ def _moved(state: State, plan: Plan) -> Particles:
     return state.particles
 
 
-def _require_mostly_inside(comm: MPI.Comm, bunches: Sequence[Particles], domain: Domain) -> None:
-    """Raise InputError on all ranks if more than half of the particles of a bunch, but not all of all, are outside."""
+def _require_mostly_inside(comm: MPI.Comm, bunches: Sequence[Particles], domain: Domain) -> list[str]:
+    """Return a sentence for each bunch of which particles are outside. Collective.
+
+    Raises InputError on all ranks if more than half of a bunch, but not all of all, are.
+    """
     walls = ~np.array(domain.periodic)
     lower, upper = np.array(domain.lower)[walls], np.array(domain.upper)[walls]
     counts = [
@@ -127,10 +135,18 @@ def _require_mostly_inside(comm: MPI.Comm, bunches: Sequence[Particles], domain:
     if 2 * outside > made and of_all[:, 1].sum() < of_all[:, 0].sum():
         raise InputError(
             f"{outside} of {made} particles of bunch {worst} of {len(bunches) - 1} lie outside the domain; "
-            "move the bunch, make it smaller, or enlarge the domain"
+            "move the bunch (one from a file by its shift), make it smaller, or enlarge the domain"
         )
+    return [
+        f"{outside} of {made} particles of bunch {number} of {len(bunches) - 1} lie outside the domain at the start: lost"
+        for number, (made, outside) in enumerate(of_all.tolist())
+        if 0 < outside < made
+    ]
 
 
 def _require_some_inside(comm: MPI.Comm, inside: Particles, made: int) -> None:
     if made > 0 and inside.global_count(comm) == 0:
-        raise InputError(f"all {made} particles of the scene lie outside the domain; move the bunches or enlarge it")
+        raise InputError(
+            f"all {made} particles of the scene lie outside the domain; move the bunches (those from files by "
+            "their shift) or enlarge it"
+        )

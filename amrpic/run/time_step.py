@@ -18,7 +18,7 @@ from ..particles.energy_bins import Frames
 from ..particles.particles import Particles
 from ..scene.motion import Leapfrog
 from ..stages.deposit import deposit
-from ..units import SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
+from ..units import SPEED_OF_LIGHT, VACUUM_PERMITTIVITY, falls_short
 from .course import Course
 from .element_strengths import Strength, strength
 from .plan import Plan
@@ -84,7 +84,7 @@ def _remark(plan: Plan, found: list[Process]) -> None:
     for kind in dict.fromkeys(process.kind for process in found):
         same = (process for process in found if process.kind == kind)
         worst = max(same, key=lambda one: one.least / one.time if one.time > 0 else math.inf)
-        if worst.least * plan.dt > worst.time:
+        if falls_short(worst.time / plan.dt, worst.least):
             plan.remark(
                 f"motion.dt of {plan.dt:.4g} s is long: {worst.time / plan.dt:.3g} steps per {worst.what}, where at least "
                 f'{worst.least:.3g} are advisable; shorten it, or set it to "auto"'

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -49,7 +50,8 @@ def read_data(path: str | os.PathLike[str], overrides: Iterable[str] = (), text:
     except RecursionError:
         raise SceneError(f"scene file {path} has tables or arrays in too many others; make it flatter") from None
     toml.override(data, overrides)
-    data.setdefault("name", Path(path).stem)
+    # What is not UTF-8 in a file's name stands as lone surrogates in Python, which no text can hold.
+    data.setdefault("name", re.sub("[\ud800-\udfff]", "_", Path(path).stem))
     return data
 
 

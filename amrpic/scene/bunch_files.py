@@ -14,13 +14,32 @@ from ..errors import InputError
 from .bunches import Bunch, DescribedBunch
 from .complaints import complaint
 from .species import Species
+from .units import Angle, Length3
 
 
-class OpenPMDBunch(Bunch):
+class MovedBunch(Bunch):
+    """A bunch whose particles are turned about the origin of their own coordinates, then moved."""
+
+    axis: tuple[float, float, float] = Field(
+        default=(0.0, 0.0, 1.0),
+        description="Where the z axis of the given places and momenta points to in the scene, by the smallest turn about the "
+        "origin; any length but 0.",
+    )
+    roll: Angle = Field(default=0.0, description="Turn about that axis, from its x towards y, rad.")
+    shift: Length3 = Field(default=(0.0, 0.0, 0.0), description="By how much places are moved then, m.")
+
+    @model_validator(mode="after")
+    def _axis_has_length(self) -> Self:
+        if not any(self.axis):
+            raise complaint("has no length", "give a direction", path="axis", found=list(self.axis))
+        return self
+
+
+class OpenPMDBunch(MovedBunch):
     """Particles of one species in an openPMD file (HDF5), as the BeamPhysics package and other codes write it.
 
     Places and momenta are taken in the units that the file states; all particles must belong to one time, at which the run
-    starts. Each rank reads its share of the particles only.
+    starts: see `schedule.start`. Each rank reads its share of the particles only.
     """
 
     distribution: Literal["openpmd"] = "openpmd"
@@ -44,7 +63,7 @@ class OpenPMDBunch(Bunch):
         return self.file
 
 
-class ArrayBunch(DescribedBunch):
+class ArrayBunch(MovedBunch, DescribedBunch):
     """Particles given one by one: arrays from Python, or an .npz file that holds them.
 
     The arrays themselves are no part of the resolved scene, which keeps their number and digest instead.
@@ -58,7 +77,12 @@ class ArrayBunch(DescribedBunch):
     momenta: Any = Field(
         default=None, exclude=True, repr=False, description="Momenta of one real particle each (n, 3), kg m/s."
     )
-    weight: Any = Field(default=None, exclude=True, repr=False, description="Real particles per macroparticle (n,).")
+    weight: Any = Field(
+        default=None,
+        exclude=True,
+        repr=False,
+        description="Real particles per macroparticle (n,); 0 of test particles.",
+    )
     particles: int | None = Field(default=None, ge=0, description="Number of particles; filled in.")
     digest: str | None = Field(default=None, description="SHA-256 of the arrays; filled in.")
 
@@ -89,9 +113,8 @@ class ArrayBunch(DescribedBunch):
                 path="position",
                 found="nothing",
             )
-        if self.position is not None and (self.weight is None) == (
-            self.charge is None and self.particle_charge is None
-        ):
+        without_charge = self.charge is None and self.particle_charge is None
+        if self.position is not None and self.self_field and (self.weight is None) == without_charge:
             raise complaint(
                 "must be given, or else charge", "keep one of the two", path="weight", found="both or neither"
             )
@@ -114,7 +137,7 @@ class ArrayBunch(DescribedBunch):
             found = {"position": self.position, "momenta": self.momenta, "weight": self.weight}
         elif self.file is not None:
             found = _read_arrays(Path(self.file))
-            if found["weight"] is None and self.charge is None and self.particle_charge is None:
+            if self.self_field and found["weight"] is None and self.charge is None and self.particle_charge is None:
                 raise InputError(f"{self.file} holds no weight and the scene names no charge; add one of the two")
         else:
             raise InputError(
@@ -129,9 +152,9 @@ class ArrayBunch(DescribedBunch):
                     f"{key} of {bad} particles in {where} is NaN or infinite; remove or correct these rows"
                 )
         weight = found["weight"]
-        if weight is not None and not (weight > 0).all():
-            bad = int((weight <= 0).sum())
-            raise InputError(f"weight of {bad} particles in {where} is zero or negative; remove or correct these rows")
+        if weight is not None and not (weight >= 0).all():
+            bad = int((weight < 0).sum())
+            raise InputError(f"weight of {bad} particles in {where} is negative; remove or correct these rows")
         return found
 
     def __eq__(self, other: object) -> bool:

@@ -18,7 +18,7 @@ from ..units import SPEED_OF_LIGHT
 from .bunches import Train
 from .complaints import complaint
 from .section import Section, refuse_negative
-from .units import Emittance, Length, Length3
+from .units import Emittance, Length, Length3, Positive3
 
 
 class TwissPlane(Section):
@@ -123,12 +123,26 @@ class SizedBunch(Train):
 
 
 class GaussianBunch(SizedBunch):
-    """Normal distribution along all axes of phase space."""
+    """Normal distribution along all axes of phase space, which may be cut off along x, y and z.
+
+    With a cutoff c, sigma and twiss are those of the whole distribution; what is left of it has the rms size
+    sigma √(1 - √(2/π) c exp(-c²/2) / erf(c/√2)).
+    """
 
     distribution: Literal["gaussian"] = "gaussian"
+    cutoff: Positive3 | None = Field(
+        default=None, description="No particle is farther from the centre along an axis than so many sigma."
+    )
 
     def unit(self, u: np.ndarray) -> np.ndarray:
-        return distributions.gaussian(u)
+        return distributions.gaussian(u) if self.cutoff is None else distributions.cut_gaussian(u, self.cutoff)
+
+    @property
+    def rms(self) -> tuple[float, float, float]:
+        if self.cutoff is None:
+            return super().rms
+        x, y, z = (size * distributions.cut_rms(c) for size, c in zip(super().rms, self.cutoff, strict=True))
+        return (x, y, z)
 
 
 class SphereBunch(Train):

@@ -19,6 +19,10 @@ class Bunch(Section):
     """What all bunches have."""
 
     name: str = Field(default="", description="A name of your own, kept in the outputs.")
+    self_field: bool = Field(
+        default=True,
+        description="false: test particles, which feel all fields and make none. Their weight is 0, whatever charge is given.",
+    )
 
     @property
     def number(self) -> int:
@@ -32,7 +36,7 @@ class Bunch(Section):
 
     @property
     def bunch_charge(self) -> float:
-        """Charge of one bunch in C; 0 if that is known only once a file is read."""
+        """Charge of one bunch in C; 0 if that is known only once a file is read, and of test particles."""
         return 0.0
 
     def places(self) -> list[tuple[float, float, float]]:
@@ -72,7 +76,7 @@ class DescribedBunch(RealParticle, Bunch):
                 path=key,
                 found=given,
             )
-        if given is not None and self.number > 0 and (given == 0 or self.species.charge == 0):
+        if given is not None and self.self_field and self.number > 0 and (given == 0 or self.species.charge == 0):
             where = key if given == 0 else "species.charge"
             raise complaint(
                 "makes every particle's charge zero", "give a charge, or particles = 0", path=where, found=0.0
@@ -85,7 +89,9 @@ class DescribedBunch(RealParticle, Bunch):
         return self.charge_of(self.number)
 
     def charge_of(self, number: int) -> float:
-        """Charge in C of a bunch of so many macroparticles."""
+        """Charge in C of a bunch of so many macroparticles; 0 of test particles."""
+        if not self.self_field:
+            return 0.0
         return self.particle_charge * number if self.particle_charge is not None else self.charge or 0.0
 
 
@@ -121,7 +127,7 @@ class Train(DescribedBunch):
                 path="particles",
                 found=self.particles,
             )
-        if self.charge is None and self.particle_charge is None:
+        if self.self_field and self.charge is None and self.particle_charge is None:
             raise complaint(
                 "is missing", 'add the charge of one bunch, such as charge = "10 pC"', path="charge", found="nothing"
             )
@@ -180,7 +186,7 @@ class LatticeBunch(DescribedBunch):
     def _lattice(self) -> Self:
         for axis, number in enumerate(self.per_axis):
             refuse_negative(f"per_axis.{axis}", number, "particles")
-        if self.charge is None and self.particle_charge is None:
+        if self.self_field and self.charge is None and self.particle_charge is None:
             raise complaint("is missing", "add the charge of all particles together", path="charge", found="nothing")
         return self
 

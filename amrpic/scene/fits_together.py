@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ..mesh.domain import AXES, FACES
@@ -15,6 +17,8 @@ from .parts import SceneParts
 from .refinement_rules import StaticBox, StaticRule, every_rule
 
 MOST_BINS = 1_000_000  # of a map of losses
+MOST_BLOCKS = 2**20  # of a level along an axis: `native/mesh/hierarchy.cpp`
+FINEST = 1e-14  # of a place: how wide cells of the finest level are at least, some tens of roundings
 LARGEST_ROW = 2**63 - 1  # rows of the equations are counted in 64 bits over all ranks
 
 
@@ -44,11 +48,28 @@ def _name(scene: SceneParts) -> None:
 
 
 def _cells(scene: SceneParts) -> None:
-    cells = scene.domain.cells
+    cells, levels = scene.domain.cells, scene.refinement.levels
+    blocks = MOST_BLOCKS * scene.refinement.blocking_factor
+    if max(cells) * 2**levels > blocks and max(cells) <= blocks < LARGEST_INDEX:
+        raise complaint(
+            f"makes more than 2^20 blocks of {scene.refinement.blocking_factor} cells along {AXES[cells.index(max(cells))]}",
+            f"use {int(math.log2(blocks / max(cells)))} levels at most, or fewer base cells",
+            path="refinement.levels",
+            found=levels,
+        )
     for axis, number in enumerate(cells):
-        if number * 2**scene.refinement.levels > LARGEST_INDEX:
+        width = (scene.domain.upper[axis] - scene.domain.lower[axis]) / number / 2**levels
+        farthest = max(abs(scene.domain.lower[axis]), abs(scene.domain.upper[axis]))
+        if width < FINEST * farthest:
             raise complaint(
-                f"makes {number * 2**scene.refinement.levels} cells on the finest level, more than 32 bits count",
+                f"makes cells of {width:.3g} m at {AXES[axis]} = {farthest:g} m, too fine for places of 64 bits",
+                "use fewer levels, or move the domain nearer to 0",
+                path="refinement.levels",
+                found=levels,
+            )
+        if number * 2**levels > LARGEST_INDEX:
+            raise complaint(
+                f"makes {number * 2**levels} cells on the finest level, more than 32 bits count",
                 "use fewer base cells or levels",
                 path=f"domain.cells.{axis}",
                 found=number,

@@ -89,6 +89,9 @@ class Scene(SceneParts):
             out.append('nothing passes screens, since motion.kind is "none"; set it to "leapfrog"')
         if not isinstance(self.motion, Leapfrog) or self.motion.window == "none":
             out += out_of_reach(self.apertures, self.screens, self.domain.lower[2], self.domain.upper[2])
+        tests = [str(number) for number, bunch in enumerate(self.bunches) if not bunch.self_field]
+        if tests and any(getattr(self.bunches[int(number)], "charge", None) for number in tests):
+            out.append(f"bunches.{', '.join(tests)} makes no field (self_field = false), and its charge counts as 0")
         flat = [str(number) for number, bunch in enumerate(self.bunches) if bunch.zero_size()]
         if flat:
             out.append(f"bunches.{', '.join(flat)} has zero size; its field is limited by the cell width alone")

@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from .complaints import complaint
 from .section import Section
+from .units import Time
 
 MOST = 2**31 - 1  # steps
 
@@ -16,6 +17,11 @@ class Schedule(Section):
     """How long a run is. The first solve comes before the first step."""
 
     steps: int | None = Field(default=None, ge=0, le=MOST, description="Steps after the first solve.")
+    start: Time | None = Field(
+        default=None,
+        description="Time at the start, s, of RF phases and all that depends on time. By default that of the openPMD files "
+        "that bunches are read from, else 0.",
+    )
     solves: int | None = Field(default=None, ge=1, le=MOST, description="Solves in all instead: one more than steps.")
 
     @model_validator(mode="after")

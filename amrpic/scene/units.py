@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from decimal import Decimal
 from typing import Annotated, Any
 
-from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from ..errors import InputError
@@ -26,7 +26,9 @@ def to_si(value: Any, kind: str) -> float:
     """Return `value` in the SI unit of `kind`; plain numbers are taken to be in that unit already."""
     table = UNITS[kind]
     if isinstance(value, bool) or not isinstance(value, (int, float, str)):
-        raise complaint(f"is not a {kind}", f"write a number in {next(iter(table))} or a string {_example(kind)}")
+        raise complaint(
+            f"is not {with_article(kind)}", f"write a number in {next(iter(table))} or a string {_example(kind)}"
+        )
     if not isinstance(value, str):
         return _finite(float(value) if abs(value) <= sys.float_info.max else math.inf, kind)  # an int has no limit
     match = _QUANTITY.fullmatch(value)
@@ -34,10 +36,11 @@ def to_si(value: Any, kind: str) -> float:
     unit = unit.replace(GREEK_MU, MICRO)
     if not match or not unit:
         raise complaint(
-            f"is not a {kind} with a unit", f"write a string {_example(kind)}, or a plain number in {next(iter(table))}"
+            f"is not {with_article(kind)} with a unit",
+            f"write a string {_example(kind)}, or a plain number in {next(iter(table))}",
         )
     if unit not in table:
-        raise complaint(f'has the unit "{unit}", which is not a {kind}', f"use one of {', '.join(table)}")
+        raise complaint(f'has the unit "{unit}", which is not {with_article(kind)}', f"use one of {', '.join(table)}")
     return _finite(_scaled(number, table[unit]), kind)
 
 
@@ -109,8 +112,15 @@ def _finite(value: float, kind: str) -> float:
     if not math.isfinite(value):
         raise complaint(f"is not a finite {kind}", "write a finite number")
     if abs(value) > LARGEST:
-        raise complaint(f"is a {kind} beyond all measure", f"write one of less than {LARGEST:g} in SI units")
+        raise complaint(
+            f"is {with_article(kind)} beyond all measure", f"write one of less than {LARGEST:g} in SI units"
+        )
     return value
+
+
+def with_article(noun: str) -> str:
+    """Return a noun with "a" or "an" before it."""
+    return f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
 
 
 def _example(kind: str) -> str:
@@ -118,6 +128,7 @@ def _example(kind: str) -> str:
     return f'such as "2.5 {table[1] if len(table) > 1 else table[0]}"'
 
 
+_Positive = Annotated[float, Field(gt=0)]
 Length = Annotated[float, Quantity("length")]
 Emittance = Annotated[float, Quantity("emittance")]
 Time = Annotated[float, Quantity("time")]
@@ -147,4 +158,5 @@ MagneticField3 = Annotated[tuple[MagneticField, MagneticField, MagneticField], S
 ElectricGradient3 = Annotated[tuple[ElectricGradient, ElectricGradient, ElectricGradient], Spread()]
 WaveNumber3 = Annotated[tuple[WaveNumber, WaveNumber, WaveNumber], Spread()]
 Acceleration3 = Annotated[tuple[Acceleration, Acceleration, Acceleration], Spread()]
+Positive3 = Annotated[tuple[_Positive, _Positive, _Positive], Spread()]
 Index3 = Annotated[tuple[int, int, int], Spread()]

@@ -149,10 +149,14 @@ class Moments:
 def moments(comm: MPI.Comm, particles: Particles, later: Particles | None = None, weight: float = 0.0) -> Moments:
     """Return the moments of all particles, which are read once. Collective.
 
-    With `later`, the same particles at another time, momenta are the mean of both in which those have this `weight`.
+    With `later`, the same particles at another time, momenta are the mean of both in which those have this `weight`. Where
+    none has a weight, as of test particles alone, each counts as one.
     """
     to = particles if later is None else later
     sums = _native.beam_sums(comm.py2f(), *particles.arrays, particles.mass, to.momentum, weight)
+    if not sums.weight > 0:
+        particles = particles.with_weight(np.broadcast_to(1.0, len(particles)))
+        sums = _native.beam_sums(comm.py2f(), *particles.arrays, particles.mass, to.momentum, weight)
     totals = np.array(sums.momentum), sums.kinetic_energy
     if not sums.weight > 0:
         nothing = np.full(3, np.nan)

@@ -69,5 +69,6 @@ def draw(table: NDArray[Any], quantities: Sequence[str]) -> Figure:
     panels[0].legend(fontsize="small", ncols=4)
     energy = quantity(float(table["energy"].sum()), "J")
     charge = quantity(float(table["charge"].sum()), "C")
-    figure.suptitle(f"{table['particles'].sum()} particles lost, {charge}, {energy}", fontsize="medium")
+    title = f"{table['particles'].sum()} particles lost, {charge}, {energy}".replace("-", "−")
+    figure.suptitle(title, fontsize="medium")
     return figure

@@ -91,10 +91,10 @@ def profiles(dump: Dump, line: Line, shown: Mapping[str, Array], level: int | No
         draw_curve(panel, line.along / length, values, symbol, dump.unit(name), LINES.get(name, "C0"), steps=False)
     panels[-1].set_xlabel(f"distance from the centre of charge / {length_prefix}m")
     centre = ", ".join(quantity(x, "m", dump.reach) for x in line.centre)
-    direction = ", ".join(f"{x:.3g}" for x in line.direction).replace("-", "−")
+    direction = ", ".join(f"{x:.3g}" for x in line.direction)
     of = "" if level is None else f", level {level}"
     panels[0].set_title(
-        f"through ({centre}) along ({direction}){of}, {_when(dump)}",
+        f"through ({centre}) along ({direction}){of}, {_when(dump)}".replace("-", "−"),
         fontsize="medium",
     )
     return figure

@@ -193,7 +193,7 @@ ON_AXIS = {**T, "gridSpacing": np.array([0.1, 0.1]), "gridGlobalOffset": np.arra
         ({"E": {"phi": np.zeros((7, 7, 7))}}, {}, "holds phi; write the components x, y, z"),
         (cartesian(), {"geometry": "spherical"}, 'has the geometry "spherical"; write it as cartesian or thetaMode'),
         (cartesian(), {"axisLabels": np.array(["u", "y", "z"], dtype="S")}, "has the axes u, y, z; write x, y, z"),
-        (cartesian(), {"unitDimension": np.zeros(7)}, "has the dimension (0.0, "),
+        (cartesian(), {"unitDimension": np.zeros(7)}, "has the dimension 1; it should be "),
         (cartesian(), {"gridSpacing": np.array([0.1, 0.1])}, "has gridSpacing [0.1, 0.1]; write 3 finite numbers"),
         (cartesian(), {"gridSpacing": 0.1}, "has gridSpacing 0.1; write 3 finite numbers, one per axis"),
         (cartesian(), {"gridGlobalOffset": np.array([0, np.nan, 0])}, "has gridGlobalOffset [0.0, nan, 0.0]; write 3"),

@@ -209,3 +209,105 @@ def test_what_cannot_be_written_is_reported_and_leaves_nothing(comm, tmp_path):
     openpmd_writer.write(comm, tmp_path / "none.h5", nothing, 0, 0.0, Provenance())
     assert len(openpmd_reader.read(tmp_path / "none.h5", partial(share, comm))) == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "none.h5"]
+
+
+def foreign(path: Path, **changes: Any) -> None:
+    """Electrons of another code: changes are arrays by record, or attributes of one by "record.attribute"."""
+    count = 20
+    columns = {f"position/{axis}": np.linspace(-1e-3, 1e-3, count) for axis in "xyz"}
+    columns |= {f"momentum/{axis}": np.full(count, 1e-22) for axis in "xyz"} | {"weighting": np.full(count, 1e4)}
+    with h5py.File(path, "w") as h5:
+        h5.attrs.update(basePath="/data/%T/", particlesPath="particles/")
+        electron = h5.create_group("data/0/particles/electron")
+        for name, values in (columns | {name: one for name, one in changes.items() if "." not in name}).items():
+            electron[name] = values
+        for record, dimension in (("position", openpmd_writer.LENGTH), ("momentum", openpmd_writer.MOMENTUM)):
+            electron[record].attrs["unitDimension"] = np.array(dimension, dtype=float)
+        for name, value in changes.items():
+            record, _, attribute = name.partition(".")
+            if attribute:
+                electron[record].attrs[attribute] = value
+
+
+SPEED_OF_FILE, LENGTH = np.array([1, 0, -1, 0, 0, 0, 0.0]), np.array([1.0, 0, 0, 0, 0, 0, 0])
+LOST = {"particleStatus": np.where(np.arange(20) == 7, 2, 1)}
+ZERO = {"weighting": np.where(np.arange(20) == 3, 0.0, 1e4)}
+MACRO = {"momentum.macroWeighted": np.uint32(1), "momentum.weightingPower": 1.0}
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+@pytest.mark.parametrize(
+    "changes, words",
+    [
+        ({"momentum.unitDimension": SPEED_OF_FILE}, ["/data/0/particles/electron/momentum", "m s^-1", "kg m/s"]),
+        ({"momentum.unitDimension": 0 * LENGTH}, ["momentum has the dimension 1,"]),
+        ({"momentum/y.unitDimension": SPEED_OF_FILE}, ["/momentum/y has the dimension m s^-1"]),
+        ({"position.unitDimension": SPEED_OF_FILE}, ["/position has the dimension m s^-1", "that of m "]),
+        ({"weighting.unitDimension": LENGTH}, ["/weighting has the dimension m,", "that of a number"]),
+        ({"weight": np.ones(20), "weight.unitDimension": LENGTH}, ["/weight has the dimension m,", "that of C"]),
+        ({"time": np.zeros(20), "time.unitDimension": LENGTH}, ["/time has the dimension m,", "that of s"]),
+        (ZERO | MACRO, ["a weight of zero", "row 3 of 20", "momenta per real particle"]),
+        ({"weighting": -np.ones(20)}, ["a weight that is negative", "row 0 of 20"]),
+        # what is lost or has no weight is named before momenta that it would spoil
+        (LOST | ZERO | MACRO | {"momentum/x": np.full(20, np.nan)}, ["the status of a lost particle", "row 7 of 20"]),
+        ({"momentum/x": np.where(np.arange(20) == 5, 1e6, 0)}, ["bunches.0", "1e+06 kg m/s at id 5", "1e+09 m c"]),
+    ],
+)
+def test_what_a_foreign_file_has_wrong_is_named_by_record_and_row(comm, tmp_path, changes, words):
+    on_first(comm, lambda: foreign(tmp_path / "foreign.h5", **changes))
+    with pytest.raises(InputError) as refused:
+        make_particles(comm, scene(tmp_path / "foreign.h5"))
+    message = str(refused.value)
+    assert "foreign.h5" in message and "\n" not in message and "Warning" not in message
+    for word in words:
+        assert word in message
+    assert comm.allgather(message) == [message] * comm.size
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+def test_weights_of_zero_are_test_particles(comm, tmp_path):
+    """They fly in the field of the others: as particles of weight do from the same places, and they change no field."""
+    motion = {"kind": "leapfrog", "dt": "20 ps"}
+
+    def after(name: str, **changes: Any) -> tuple[dict[str, np.ndarray], float]:
+        on_first(comm, lambda: foreign(tmp_path / name, **changes))
+        run = Simulation(comm, scene(tmp_path / name, motion=motion))
+        field = run.efield.integral_of_square()
+        run.advance(3)
+        return everywhere(comm, run.particles), field
+
+    slow = {f"momentum/{axis}": np.full(20, 1e-26) for axis in "xyz"}
+    charge = 2e7 / 20  # real electrons, so that the field is felt
+    real, field = after("real.h5", weighting=np.full(20, charge), **slow)
+    doubled = {
+        name: np.tile(values, 2)
+        for name, values in ({f"position/{axis}": np.linspace(-1e-3, 1e-3, 20) for axis in "xyz"} | slow).items()
+    }
+    both, field_of_both = after("both.h5", weighting=np.repeat([charge, 0.0], 20), **doubled)
+    assert field_of_both == pytest.approx(field, rel=1e-12)
+    np.testing.assert_allclose(both["momentum"][20:], real["momentum"], rtol=1e-10)
+    np.testing.assert_allclose(both["momentum"][:20], real["momentum"], rtol=1e-10)
+    assert np.abs(real["momentum"] - 1e-26).max() > 1e-26
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+def test_a_bunch_of_a_file_is_turned_and_moved(comm, tmp_path):
+    """As far from each other as before, with momenta along the new axis; where a file's x, y, z point is known exactly."""
+    on_first(comm, lambda: group().write(str(tmp_path / "in.h5")))
+    bunch = {"distribution": "openpmd", "file": str(tmp_path / "in.h5")}
+    moved = {**bunch, "axis": [1, 0, 0], "roll": "90 deg", "shift": ["1 mm", 0, "-2 mm"]}
+    before = everywhere(comm, make_particles(comm, scene(tmp_path / "in.h5")))
+    after = everywhere(comm, make_particles(comm, scene(tmp_path / "in.h5", bunches=[moved])))
+    turned = np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]]).T  # x goes to y, y to z, z to x
+    np.testing.assert_allclose(after["position"], before["position"] @ turned.T + [1e-3, 0, -2e-3], atol=1e-17)
+    np.testing.assert_allclose(after["momentum"], before["momentum"] @ turned.T, atol=1e-15 * before["momentum"].max())
+    with pytest.raises(InputError, match="those from files by their shift"):
+        Simulation(comm, scene(tmp_path / "in.h5", bunches=[{**bunch, "shift": [0, 0, "1 m"]}]))
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+def test_particles_outside_at_the_start_are_told_of(comm, tmp_path):
+    on_first(comm, lambda: group(x=np.where(np.arange(COUNT) < 3, 0.02, 0.0)).write(str(tmp_path / "in.h5")))
+    run = Simulation(comm, scene(tmp_path / "in.h5"))
+    assert f"3 of {COUNT} particles of bunch 1 of 1 lie outside the domain at the start: lost" in run.remarks
+    assert comm.allreduce(len(run.lost)) == 3

@@ -118,7 +118,7 @@ def test_placing_particles_takes_less_than_twice_their_bytes(comm, bunches):
     many = comm.allreduce(sum(map(len, made)))
     forget_peak()
     before, window = resident("VmRSS"), Course.of_scene(scene).window
-    particles, _, _ = place(made, base, window, plan)
+    particles, _, _ = place(made, base, window, plan, 0.0)
     share = BYTES * many / comm.size
     assert comm.allreduce(len(particles), MPI.MAX) <= 1.05 * many / comm.size
     held = comm.allreduce((share + resident("VmHWM") - before) / share, MPI.MAX)

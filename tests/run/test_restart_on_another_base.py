@@ -100,3 +100,22 @@ def test_another_cuboid_or_boundary_is_refused(comm, tmp_path):
             InputError, match=rf"cannot go on from checkpoint .*: {message}.*; restore that, or start afresh"
         ):
             amrpic.Simulation.restart(comm, path, other.replace(domain=domain))
+
+
+@pytest.mark.mpi(ranks=(2, 3), timeout=120)
+def test_a_mesh_that_stays_stays_on_other_ranks(comm, tmp_path):
+    """Boxes are halved for as many ranks as there are; the cells are the same, and `regridded` says so."""
+    still: dict[str, Any] = {"motion": amrpic.NoMotion(), "schedule": {"steps": 4}}
+    run, path = checkpoint(comm, tmp_path, **still)
+    run.advance(2)
+    assert not run.state.regridded
+    for other in MPI.COMM_SELF, comm:
+        again = amrpic.Simulation.restart(other, path)
+        again.advance(2)
+        assert not again.state.regridded and again.hierarchy.cells() == run.hierarchy.cells()
+    alone = amrpic.Simulation(MPI.COMM_SELF, scene(**still))
+    alone.advance(4)
+    assert alone.hierarchy.same_cells(run.hierarchy) and run.hierarchy.same_cells(alone.hierarchy)
+    finer = amrpic.Hierarchy(MPI.COMM_SELF, alone.hierarchy.domain, [[((0, 0, 0), (7, 7, 7))]], 8, 4)
+    moved = amrpic.Hierarchy(MPI.COMM_SELF, alone.hierarchy.domain, [[((4, 0, 0), (11, 7, 7))]], 8, 4)
+    assert not finer.same_cells(moved) and finer.same_cells(finer)

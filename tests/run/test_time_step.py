@@ -206,19 +206,21 @@ def test_other_steps_are_refused(dt, text):
 
 
 @pytest.mark.parametrize(
-    "given, words",
+    "given, words, longest",  # in steps that the run chooses
     [
-        (lambda dt: scene(dt=dt), "cell of the finest level along z"),
-        (lambda dt: scene(ELEMENTS["cyclotron period"][0], dt), "cyclotron period in elements.0"),
-        (lambda dt: scene(ELEMENTS["betatron period"][0], dt), "betatron period in elements.0"),
-        (lambda dt: ball(1.0, dt), "plasma period"),
+        (lambda dt: scene(dt=dt), "cell of the finest level along z", 2),
+        (lambda dt: scene(ELEMENTS["cyclotron period"][0], dt), "cyclotron period in elements.0", 50),
+        (lambda dt: scene(ELEMENTS["betatron period"][0], dt), "betatron period in elements.0", 50),
+        (lambda dt: ball(1.0, dt), "plasma period", 60 / (4 * np.pi)),
     ],
 )
-def test_a_long_step_gets_a_remark(given, words):
-    """One on each kind, where there are fewer steps than are advisable, and none of a step that the run chose."""
+def test_a_long_step_gets_a_remark(given, words, longest):
+    """One on each kind, where there are over 1 % fewer steps than are advisable, and none of a step that the run chose."""
     chosen = begun(given("auto"))
     assert not chosen.remarks
     assert not begun(given(chosen.dt)).remarks
+    assert not any(words in remark for remark in begun(given(1.009 * longest * chosen.dt)).remarks)
+    assert any(words in remark for remark in begun(given(1.012 * longest * chosen.dt)).remarks)
     remarks = begun(given(1000 * chosen.dt)).remarks
     assert sum(words in remark for remark in remarks) == 1
     assert all("motion.dt of" in remark and "is long" in remark for remark in remarks)

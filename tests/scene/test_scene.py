@@ -8,9 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mpi4py import MPI
+from pydantic_core import PydanticCustomError
 
 from amrpic.commands.methods import scene_from
-from amrpic.errors import InputError, SceneError
+from amrpic.errors import HierarchyError, InputError, SceneError
+from amrpic.mesh.domain import Domain
+from amrpic.mesh.hierarchy import Hierarchy
 from amrpic.run.limits import check_scene, memory_error, rank_cells_error
 from amrpic.run.memory import base_boxes
 from amrpic.scene.any_scene import read_data
@@ -217,8 +221,8 @@ def test_particles_are_read_from_a_file_beside_the_scene(tmp_path):
     np.savez(tmp_path / "beam.npz", position=np.full((4, 3), np.nan), weight=np.ones(4))
     with pytest.raises(InputError, match=r"4 particles.*NaN"):
         first_bunch(Scene.from_toml(tmp_path / "s.toml")).arrays()
-    np.savez(tmp_path / "beam.npz", position=np.ones((4, 3)) * 0.01, weight=np.array([1.0, 0.0, 2.0, 3.0]))
-    with pytest.raises(InputError, match="weight of 1 particles"):
+    np.savez(tmp_path / "beam.npz", position=np.ones((4, 3)) * 0.01, weight=np.array([1.0, 0.0, -2.0, 3.0]))
+    with pytest.raises(InputError, match=r"weight of 1 particles in .* is negative"):
         first_bunch(Scene.from_toml(tmp_path / "s.toml")).arrays()
 
 
@@ -236,3 +240,52 @@ def test_memory_and_index_limits_state_both_numbers():
 def test_missing_particle_file_is_reported_by_the_check():
     with pytest.raises(SceneError, match=r"bunches\.1\.file \(nowhere\.h5\) does not exist"):
         check_scene(scene(bunches=[BUNCH, {"distribution": "openpmd", "file": "nowhere.h5"}]), ranks=1)
+
+
+@pytest.mark.parametrize(
+    "cells, block, most", [(32, 8, 18), (100, 8, 16), ([2, 2, 200], 8, 15), (16, 2, 17), (8, 32, 20)]
+)
+def test_a_scene_has_the_levels_that_the_mesh_takes(cells, block, most):
+    """As many as a hierarchy of one block on each level, in the corner of the domain."""
+    domain = {"lower": -1, "upper": 1, "cells": cells, "boundary": "dirichlet"}
+
+    def levels(number: int) -> dict[str, Any]:
+        return {"levels": number, "blocking_factor": block, "max_grid_size": block}
+
+    assert scene(domain=domain, refinement=levels(most)).refinement.levels == most
+    corner = np.broadcast_to(cells, 3)[None] << np.arange(1, most + 2)[:, None]
+    boxes = [[((0, 0, 0), tuple((np.minimum(2 * block, last) - 1).tolist()))] for last in corner]
+    if most < 20:
+        text = refusal(domain=domain, refinement=levels(most + 1))
+        assert f"refinement.levels ({most + 1}) makes more than 2^20 blocks of {block} cells" in text
+        assert f"use {most} levels at most" in text
+        with pytest.raises(HierarchyError, match=f"level {most + 1} would have more than 2"):
+            Hierarchy(MPI.COMM_SELF, Domain(-1, 1, cells, "dirichlet"), boxes, 4 * block, block)
+    made = Hierarchy(MPI.COMM_SELF, Domain(-1, 1, cells, "dirichlet"), boxes[:most], 4 * block, block)
+    assert made.levels == most + 1
+
+
+def test_cells_below_the_rounding_of_their_places_are_refused():
+    domain = {"lower": 1, "upper": 1 + 1e-8, "cells": 32}  # cells of 3.1e-10 m, and of 1.2e-15 m on level 18
+    text = refusal(domain=domain, refinement={"levels": 18}, bunches=[])
+    assert "refinement.levels (18)" in text and "too fine for places of 64 bits" in text
+    assert scene(domain=domain, refinement={"levels": 1}, bunches=[]).refinement.levels == 1
+
+
+def test_kinds_of_quantities_have_their_article():
+    for kind in UNITS:
+        with pytest.raises(PydanticCustomError) as refused:
+            to_si("much", kind)
+        assert f"is not a{'n' if kind[0] in 'aeiou' else ''} {kind} with a unit" in str(refused.value)
+    twiss = {axis: {"emittance": "much", "sigma": "1 mm"} for axis in "xyz"}
+    text = refusal(bunches=[{"distribution": "gaussian", "twiss": twiss, "charge": "1 pC", "particles": 1}])
+    assert "is not an emittance with a unit" in text
+
+
+def test_test_particles_need_no_charge():
+    plain = {key: value for key, value in BUNCH.items() if key != "charge"}
+    assert "charge ('nothing') is missing" in refusal(bunches=[plain])
+    assert not scene(bunches=[{**plain, "self_field": False}]).remarks()
+    given = scene(bunches=[{**BUNCH, "self_field": False}])
+    assert given.bunches[0].bunch_charge == 0
+    assert given.remarks() == ["bunches.0 makes no field (self_field = false), and its charge counts as 0"]

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy
 from mpi4py import MPI
 
 from amrpic.errors import ParticleError
@@ -17,6 +18,7 @@ from amrpic.particles.phase_space import PhaseSpace, Plane
 from amrpic.particles.sampling import draw
 from amrpic.particles.species import Species
 from amrpic.run.initial_particles import make_particles
+from amrpic.scene.bunch_shapes import GaussianBunch
 from amrpic.scene.scene import Scene
 from amrpic.stages import beam
 from amrpic.units import ELECTRON_MASS, SPEED_OF_LIGHT
@@ -264,3 +266,29 @@ def test_arrays_need_either_weights_or_a_charge(comm):
         beam.from_arrays(comm, np.zeros((2, 3)), species=UNIT)
     with pytest.raises(ParticleError, match="3 values of weight"):
         beam.from_arrays(comm, np.zeros((2, 3)), weight=np.ones(3), species=UNIT)
+
+
+def test_a_cut_gaussian_is_the_normal_distribution_up_to_there(comm):
+    """Kolmogorov and Smirnov's distance to SciPy's truncated normal one: sqrt(N) D > 2.2 has a probability of 1.3e-4."""
+    cutoff = (0.3, 1.5, 3.0)
+    x = distributions.cut_gaussian(draw("random", 5, 0, 0, COUNT), cutoff)
+    for values, c in zip(x, cutoff, strict=False):
+        assert np.abs(values).max() <= c
+        exact = scipy.stats.truncnorm(-c, c).cdf(np.sort(values))
+        assert np.sqrt(COUNT) * np.abs(exact - (np.arange(COUNT) + 0.5) / COUNT).max() < 2.2
+    assert within(x[3:] ** 2, 1.0)
+    for c in (1e-6, 1e-3, 0.0199, 0.0201, 0.5, 2, 30):
+        second, all_ = (scipy.integrate.quad(lambda x, n=n: x**n * np.exp(-(x**2) / 2), 0, c)[0] for n in (2, 0))
+        assert distributions.cut_rms(c) == pytest.approx(np.sqrt(second / all_), rel=1e-8, abs=0)
+    bunch = {
+        "distribution": "gaussian",
+        "sigma": ["1 mm", "2 mm", 0],
+        "cutoff": 1.5,
+        "charge": "1 pC",
+        "particles": COUNT,
+    }
+    domain = {"lower": "-3 mm", "upper": "3 mm", "cells": 8}
+    given = Scene.from_dict({"domain": domain, "bunches": [bunch]})
+    made, shape = make_particles(comm, given), given.bunches[0]
+    assert isinstance(shape, GaussianBunch) and within(made.position.T[:2] ** 2, np.array(shape.rms[:2]) ** 2)
+    assert np.abs(made.position).max(axis=0) == pytest.approx([1.5e-3, 3e-3, 0], rel=1e-3)

@@ -218,7 +218,7 @@ def test_a_checkpoint_shows_what_the_field_file_of_its_step_shows(comm, tmp_path
 
 @pytest.mark.parametrize(
     ("value", "unit", "text"),
-    [(0.0, "s", "0 s"), (1.25e-9, "s", "1.25 ns"), (-0.0282842, "m", "−28.28 mm"), (0.99999, "V", "1 V")],
+    [(0.0, "s", "0 s"), (1.25e-9, "s", "1.25 ns"), (-0.0282842, "m", "-28.28 mm"), (0.99999, "V", "1 V")],
 )
 def test_quantities_take_the_prefix_that_suits_them(value, unit, text):
     assert quantity(value, unit) == text

@@ -60,7 +60,7 @@ def kick_and_drift(
     assert isinstance(motion, Leapfrog)
     drifts_first = motion.form == "drift-kick-drift" and step == 0
     after, flight = (0.0, plan.dt / 2) if drifts_first else (plan.dt / 2, plan.dt)
-    then = course.after(flight, time, plan.external, motion.pusher)
+    then = course.after(flight, time, plan.external, plan.pusher(solution.frames))
     external = plan.external.seen_from(course.window).native if plan.scene.elements else None
     given = plan.fields.at(particles, time, course.window) if plan.fields else None
     shift = course.window.shift_to(then.window)
@@ -91,12 +91,9 @@ def _push(
     time: float = 0.0,
     shift: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Particles:
-    motion = plan.scene.motion
-    assert isinstance(motion, Leapfrog)
-    walls = plan.wall_field(solution)
     electric, magnetic = given if given is not None else (None, None)
-    if walls is not None:
-        electric = _sum(electric, gather(walls, particles, plan.clouds))
+    if solution.walls is not None:
+        electric = _sum(electric, gather(solution.walls[1], particles, plan.clouds))
     if solution.magnetic is not None:
         magnetic = _sum(magnetic, gather(solution.magnetic, particles, plan.clouds))
     return push(
@@ -106,7 +103,7 @@ def _push(
         after,
         dt,
         plan.clouds,
-        pusher=motion.pusher,
+        pusher=plan.pusher(solution.frames),
         beta=solution.beta,
         electric=electric,
         magnetic=magnetic,

@@ -13,11 +13,13 @@ import numpy as np
 
 from .. import _native
 from ..particles.arrays import empty_columns
+from ..particles.clouds import Clouds
 from ..particles.frame import LABORATORY
 from ..particles.particles import Particles
 from ..scene.motion import Leapfrog
 from ..stages.gather import gather
 from ..stages.push import push
+from ..units import SPEED_OF_LIGHT
 from .course import Course
 from .plan import Plan
 from .solution import Solution
@@ -76,6 +78,18 @@ def kick(solution: Solution, particles: Particles, staggered: Staggered, plan: P
     if staggered.between is not None:
         return particles.replace(momentum=staggered.between)
     return particles.replace(momentum=_push(solution, particles, staggered.lag, 0.0, 0.0, plan).momentum)
+
+
+def felt(solution: Solution, particles: Particles, clouds: Clouds) -> tuple[np.ndarray, np.ndarray]:
+    """Return E (V/m) and B (T), (n, 3), of a solution at particles, as a push has them. Collective."""
+    electric = gather(solution.efield, particles, clouds)
+    if solution.magnetic is not None:
+        magnetic = gather(solution.magnetic, particles, clouds)
+    else:
+        magnetic = np.cross(solution.beta, electric) / SPEED_OF_LIGHT
+    if solution.walls is not None:
+        electric += gather(solution.walls[1], particles, clouds)
+    return electric, magnetic
 
 
 def _push(

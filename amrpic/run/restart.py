@@ -200,7 +200,7 @@ def _state(plan: Plan, held: Snapshot, stored: Hierarchy, hierarchy: Hierarchy) 
     if math.isnan(plan.dt) and given == "auto":
         plan.dt = before
     if plan.dt != before:
-        settle_time_step(plan, particles, hierarchy, frames, course)
+        settle_time_step(plan, particles, hierarchy, solution.frames, course, solution)
     return state_of(plan, particles, solution, lost, screens, course, held.header.step, held.header.time, lag)
 
 

@@ -55,7 +55,7 @@ def begin(plan: Plan) -> State:
         particles, lost, screens = place(bunches, base, course.window, plan)
     _require_some_inside(plan.comm, particles, made)
     fields = follow(ParticleFields(particles, base, plan))
-    settle_time_step(plan, fields.particles, fields.hierarchy, fields.frames, course)
+    settle_time_step(plan, fields.particles, fields.hierarchy, fields.frames, course, fields.solution)
     return state_of(plan, fields.particles, fields.solution, lost, screens, course, 0, 0.0)
 
 

@@ -37,7 +37,9 @@ class Strength:
     magnetic_gradient: float = 0.0  # T/m
     frequency: float = 0.0  # Hz
     length: float = math.inf  # m, over which the field comes and goes, at the least
-    smooth: bool = False  # whether it does so smoothly, sampled at steps: between hard ends it is averaged along flights
+    smooth: bool = (
+        False  # whether it does so smoothly, sampled at steps: between hard ends it is averaged along flights
+    )
     node: float = math.inf  # m, between nodes of a map
 
 
@@ -62,9 +64,7 @@ def _(element: ConstantFocusingElement) -> Strength:
 
 @strength.register
 def _(element: QuadrupoleElement) -> Strength:
-    return Strength(
-        magnetic_gradient=abs(element.gradient), length=_shortest(element), smooth=element.fringe != "hard"
-    )
+    return Strength(magnetic_gradient=abs(element.gradient), length=_shortest(element), smooth=element.fringe != "hard")
 
 
 @strength.register

@@ -303,5 +303,7 @@ class Recorder:
 
 def _shown(state: State) -> dict[str, Field | VectorField]:
     """Return what dumps and pictures show of a state: B where the particles have a magnetic field of their own."""
-    shown = {"rho": state.rho, "phi": state.phi, "E": state.efield.with_components()}
-    return shown if state.solution.frames.only == LABORATORY else {**shown, "B": state.solution.bfield}
+    shown: dict[str, Field | VectorField] = {"rho": state.rho, "phi": state.phi, "E": state.efield.with_components()}
+    if state.solution.frames.only != LABORATORY:
+        shown["B"] = state.solution.bfield
+    return shown

@@ -81,7 +81,7 @@ class ParticleFields:
     @cached_property
     def phi(self) -> Field:
         """Potential, V, with that of what walls hold."""
-        if self.known is None:
+        if self.known is None or self._before is None:
             return self.solution.potential
         return self._before if self.known.walls is None else self._carried(self.known.potential)
 

@@ -31,7 +31,9 @@ class Solution:
     parts: tuple[Field, ...] = ()  # φ of each bin, if there are more than one, V
     magnetic: VectorField | None = None  # T, if there are more bins than one
     before: Field | None = None  # φ of the step before on this mesh, where the next solve starts from both, V
-    walls: tuple[Field, VectorField] | None = None  # φ and E of what walls hold, where those above are without: see `Plan.walls`
+    walls: tuple[Field, VectorField] | None = (
+        None  # φ and E of what walls hold, where those above are without: see `Plan.walls`
+    )
 
     @cached_property
     def potential(self) -> Field:

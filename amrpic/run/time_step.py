@@ -71,7 +71,8 @@ def settle_time_step(
     """Choose the plan's time step where the scene leaves that to the run and it is not known yet, and note which rule it is.
 
     A remark says of a step that the scene gives if it is long. The particles are sorted on the hierarchy, and `frames` are
-    those of their self-field, which counts if a `solution` holds it. Collective; InputError on all ranks if nothing in the run has a time of its own.
+    those of their self-field, which counts if a `solution` holds it. Collective; InputError on all ranks if nothing in the
+    run has a time of its own.
     """
     motion = plan.scene.motion
     if not isinstance(motion, Leapfrog):

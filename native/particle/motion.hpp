@@ -27,9 +27,9 @@ enum class Pusher {
 
 /// A momentum after its turn about a magnetic field, with charge / mass * half of the time.
 ///
-/// Both pushers turn p by 2 atan t about B with t = tau / g, tau = q B time / (2 m). Boris has g = gamma. Higuera and Cary
-/// have g^2 = (s + sqrt(s^2 + 4 (tau^2 + (tau . u)^2))) / 2 with s = gamma^2 - tau^2, u = p / (m c) (their eq. 20).
-/// With w^2 = g^2 + tau^2 and f = g p + p x tau the turn is p + 2 f x tau / w^2.
+/// Both pushers turn p by 2 atan t about B with t = tau / g, tau = q B time / (2 m). Boris has g = gamma. Higuera and
+/// Cary have g^2 = (s + sqrt(s^2 + 4 (tau^2 + (tau . u)^2))) / 2 with s = gamma^2 - tau^2, u = p / (m c) (their eq.
+/// 20). With w^2 = g^2 + tau^2 and f = g p + p x tau the turn is p + 2 f x tau / w^2.
 template <class V>
 KOKKOS_INLINE_FUNCTION Vector3<V> turned(Pusher pusher, Vector3<V> const& p, Vector3<V> const& b,
                                          V const& charge_over_mass_half, V const& per_mc) {

@@ -157,7 +157,9 @@ def test_a_field_that_gives_m_c_within_few_steps_sets_them(comm, u):
     field = charge / (4 * np.pi * VACUUM_PERMITTIVITY * radius**2)
     time = ELECTRON_MASS * SPEED_OF_LIGHT / (ELEMENTARY_CHARGE * field) * math.hypot(1, u)
     assert plan.dt == pytest.approx(time / time_step.PER_GAIN, rel=0.1)
-    assert ("m c across the motion in the particles' own field" if u else "γ m c in the particles' own") in plan.notes[-1]
+    assert ("m c across the motion in the particles' own field" if u else "γ m c in the particles' own") in plan.notes[
+        -1
+    ]
     assert not plan.remarks
     [remark] = [one for one in begun(ball(u, charge, radius, 12 * plan.dt), comm).remarks if "particles' own" in one]
     assert "at least 4 are advisable" in remark

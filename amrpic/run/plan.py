@@ -40,6 +40,7 @@ class Plan:
         self.dt: float = math.nan if dt == "auto" else dt  # s; `settle_time_step` chooses it for "auto"
         self.clock = Clock()
         self.remarks: list[str] = []
+        self.long_for: set[str] = set()  # kinds of what `dt` was remarked to be long for
         self.notes: list[str] = []  # what the run chose by itself, for its log
         self.compensation_by_auto = False  # whether the run chose it by itself
         self._solves: list[SolveReport] = []

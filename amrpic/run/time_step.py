@@ -39,6 +39,9 @@ PER_LENGTH, LEAST_PER_LENGTH = 80.0, 4.0  # four places sum up the profile of a 
 PER_NODE, LEAST_PER_NODE = 1.0, 0.25
 
 
+EVERY = 100  # steps from one look at whether the step has become long to the next
+
+
 @dataclass(frozen=True)
 class Process:
     """Something that steps have to resolve."""
@@ -79,7 +82,7 @@ def settle_time_step(
         return
     found = [one for one in processes(plan, particles, hierarchy, frames, course, solution) if one.time < math.inf]
     if motion.dt != "auto":
-        _remark(plan, found)
+        _remark(plan, found, 'shorten it, or set it to "auto"')
     elif math.isnan(plan.dt):
         if not found:
             raise InputError(
@@ -95,14 +98,23 @@ def settle_time_step(
         plan.notes.append(f"motion.dt: {plan.dt:.4g} s, {first.steps:g} steps per {first.what}")
 
 
-def _remark(plan: Plan, found: list[Process]) -> None:
+def check_time_step(plan: Plan, particles: Particles, solution: Solution, step: int) -> None:
+    """Remark if the plan's step has become long for charge or field at a later step, once for each kind. Collective."""
+    if isinstance(plan.scene.motion, Leapfrog) and step % EVERY == 0:
+        found = own_processes(plan, particles, solution.rho.hierarchy, solution.frames, solution)
+        known = [process for process in found if process.time < math.inf]
+        _remark(plan, known, "go on from an earlier checkpoint with a shorter one", f" at step {step}")
+
+
+def _remark(plan: Plan, found: list[Process], remedy: str, when: str = "") -> None:
     for kind in dict.fromkeys(process.kind for process in found):
         same = (process for process in found if process.kind == kind)
         worst = max(same, key=lambda one: one.least / one.time if one.time > 0 else math.inf)
-        if worst.least * plan.dt > worst.time:
+        if worst.least * plan.dt > worst.time and kind not in plan.long_for:
+            plan.long_for.add(kind)
             plan.remark(
-                f"motion.dt of {plan.dt:.4g} s is long: {worst.time / plan.dt:.3g} steps per {worst.what}, where at least "
-                f'{worst.least:.3g} are advisable; shorten it, or set it to "auto"'
+                f"motion.dt of {plan.dt:.4g} s is long{when}: {worst.time / plan.dt:.3g} steps per {worst.what}, where at "
+                f"least {worst.least:.3g} are advisable; {remedy}"
             )
 
 
@@ -123,6 +135,17 @@ def processes(
     for axis, width, speed in zip(AXES, widths, fast.along, strict=True):
         what = f"passage of a particle through a cell of the finest level along {axis}"
         yield Process("cell", what, _time(width, speed), PER_CELL, LEAST_PER_CELL)
+    yield from own_processes(plan, particles, hierarchy, frames, solution)
+    elements = plan.external.elements
+    strengths = from_rank_0(plan.comm, lambda: [strength(element) for element in elements], InputError)  # reads maps
+    for number, (element, of) in enumerate(zip(elements, strengths, strict=True)):
+        yield from _processes_in(of, element.name or f"elements.{number}", fast)
+
+
+def own_processes(
+    plan: Plan, particles: Particles, hierarchy: Hierarchy, frames: Frames, solution: Solution | None = None
+) -> Iterator[Process]:
+    """Return what the charge of the particles does, and their own field if it is known. Collective."""
     of_all, single = (law(particles, hierarchy, plan.clouds, frames) for law in (plasma_frequency, oscillation))
     what = "plasma period" if single < 1.1 * of_all else "oscillation of a particle in the charge of all"
     period = _time(2 * math.pi, max(of_all, single))
@@ -132,10 +155,6 @@ def processes(
         for what, rate in (("gain of γ m c", gain), ("gain of m c across the motion", across)):
             what += " in the particles' own field"
             yield Process("own", what, _time(1.0, rate), PER_GAIN, LEAST_PER_GAIN)
-    elements = plan.external.elements
-    strengths = from_rank_0(plan.comm, lambda: [strength(element) for element in elements], InputError)  # reads maps
-    for number, (element, of) in enumerate(zip(elements, strengths, strict=True)):
-        yield from _processes_in(of, element.name or f"elements.{number}", fast)
 
 
 def _processes_in(of: Strength, name: str, fast: Fastest) -> Iterator[Process]:

@@ -190,3 +190,23 @@ def test_light_particles_in_the_charge_of_heavy_ones_set_the_step(comm, u):
     if u == 0:
         assert plan.dt == pytest.approx(2 * np.pi / found[1] / time_step.PER_PLASMA_PERIOD)
         assert "oscillation of a particle in the charge of all" in plan.notes[-1]
+
+
+def test_a_beam_that_grows_dense_gets_a_remark_at_a_later_step(monkeypatch):
+    """A ball at rest with 20 steps per plasma period, which focusing shrinks to half within five."""
+    monkeypatch.setattr(time_step, "EVERY", 5)
+    charge, radius = 1e-12, 1e-3
+    density = charge / (4 / 3 * np.pi * radius**3)
+    dt = 2 * np.pi / 20 / math.sqrt(density * ELEMENTARY_CHARGE / (VACUUM_PERMITTIVITY * ELECTRON_MASS))
+    given = ball(0.0, charge, radius)
+    given["domain"]["cells"] = 16
+    given["bunches"][0]["particles"] = 5000
+    gradient = -ELECTRON_MASS / ELEMENTARY_CHARGE * (0.26 / dt) ** 2
+    given["elements"] = [{"kind": "constant-focusing", "gradient": [gradient] * 3}]
+    run = flown(given, 4, dt)
+    assert not any("is long" in remark for remark in run.remarks)
+    run.advance(1)
+    [remark] = [remark for remark in run.remarks if "is long at step 5" in remark]
+    assert "plasma period" in remark and "go on from an earlier checkpoint" in remark
+    run.advance(5)
+    assert sum("is long at step" in remark for remark in run.remarks) == 1

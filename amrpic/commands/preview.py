@@ -32,7 +32,7 @@ from ..run.particle_fields import ParticleFields
 from ..run.plan import Plan
 from ..run.restart import about, writers_of
 from ..run.time_step import settle_time_step
-from ..scene.motion import RandomWalk
+from ..scene.motion import Leapfrog, RandomWalk
 from ..scene.refinement_rules import (
     CallableRule,
     ChargeDensityRule,
@@ -80,6 +80,8 @@ def preview(comm: MPI.Comm, scene: Scene, ranks: int, seconds: float = 0.0) -> s
     if lost:
         notes.append(f"{lost} of {made} particles lie outside the domain and would be lost")
     settle_time_step(plan, fields.particles, fields.hierarchy, fields.frames, course)
+    if isinstance(scene.motion, Leapfrog) and scene.motion.dt == "auto":
+        notes.append("the particles' own field, which a preview does not solve for, may ask for a shorter motion.dt")
     notes += warnings_of(scene, fields.particles_per_cell, bunches[1:])
     paragraphs = [
         [scene.summary()],

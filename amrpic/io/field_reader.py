@@ -19,6 +19,8 @@ from ..mesh.domain import AXES, Domain
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.window import AT_REST, Window, window_of
+from ..particles.frame import Frame
+from ..units import SPEED_OF_LIGHT
 from .checkpoint_manifest import MANIFEST, decode
 from .openpmd_files import UNREADABLE
 from .shared_file import require_parts
@@ -136,11 +138,14 @@ class CheckpointDump(Dump):
             Level(spacing / 2**level, boxes, starts)
             for level, (boxes, (_, starts)) in enumerate(zip(header.boxes, places, strict=True))
         ]
-        vector = {"efield_x", "efield_y", "efield_z"} <= set(manifest.fields)
-        self.units = {name: unit for name, unit in UNITS.items() if name in manifest.fields or (name == "E" and vector)}
+        self._stored = set(manifest.fields)
+        members = header.extra.get("frames", {}).get("members", [])
+        self._beta = Frame(**members[0]).beta if len(members) == 1 else (0.0, 0.0, 0.0)
+        has = {"E": "efield_x" in self._stored, "B": "bfield_x" in self._stored or any(self._beta)}
+        self.units = {name: unit for name, unit in UNITS.items() if has.get(name, name in self._stored)}
 
     def is_vector(self, name: str) -> bool:
-        return name == "E"
+        return name in ("E", "B")
 
     def _open_part(self, name: str) -> h5py.File:
         require_readable(self.path / name)
@@ -158,11 +163,17 @@ class CheckpointDump(Dump):
         return decode(self.path).header.about.scene_text
 
     def _values(self, name: str, level: int, box: int | np.integer[Any]) -> Array:
-        if name == "E":
-            return np.stack([self._values(f"efield_{axis}", level, box) for axis in AXES], axis=-1)
+        if self.is_vector(name):
+            if name == "B" and "bfield_x" not in self._stored:  # that of charge in one frame
+                of_charge = "_of_charge" if "phi_of_charge" in self._stored else ""
+                return np.cross(self._beta, self._vector("efield", of_charge, level, box)) / SPEED_OF_LIGHT
+            return self._vector("efield" if name == "E" else "bfield", "", level, box)
         cells, start = self._size(level, box), int(self.levels[level].starts[box])
         rows = self._parts[self._part_of[level][box]][f"level{level}/{name}"]
         return rows[start : start + int(np.prod(cells))].reshape(cells, order="F")
+
+    def _vector(self, name: str, suffix: str, level: int, box: int | np.integer[Any]) -> Array:
+        return np.stack([self._values(f"{name}_{axis}{suffix}", level, box) for axis in AXES], axis=-1)
 
 
 class LiveDump(LiveFields, Dump):
@@ -192,7 +203,7 @@ class LiveDump(LiveFields, Dump):
         """Nothing is open."""
 
 
-UNITS = {"rho": "C/m^3", "phi": "V", "E": "V/m"}  # of the fields of a checkpoint
+UNITS = {"rho": "C/m^3", "phi": "V", "E": "V/m", "B": "T"}  # of the fields of a checkpoint
 
 
 def open_dump(path: Path) -> Dump:

@@ -35,6 +35,7 @@ DIMENSIONS = {  # powers of length, mass, time, current, temperature, amount, lu
     "C/m^3": (-3, 0, 1, 1, 0, 0, 0),
     "V": (2, 1, -3, -1, 0, 0, 0),
     "V/m": (1, 1, -3, -1, 0, 0, 0),
+    "T": (0, 1, -2, -1, 0, 0, 0),
 }
 
 

@@ -87,7 +87,7 @@ class DumpedFields(Mapping[str, Field | VectorField]):
 
     def _values(self, name: str) -> Field | VectorField:
         with open_dump(self.path) as dump:
-            parts = [Field.unset(self.hierarchy, self.units[name]) for _ in (AXES if name == "E" else "1")]
+            parts = [Field.unset(self.hierarchy, self.units[name]) for _ in (AXES if dump.is_vector(name) else "1")]
             for patches in zip(*(part.patches for part in parts), strict=True):
                 values = _region(dump, name, patches[0])
                 for patch, component in zip(patches, np.moveaxis(values, -1, 0), strict=True):
@@ -109,6 +109,11 @@ class DumpedFields(Mapping[str, Field | VectorField]):
     def E(self) -> VectorField:
         """Electric field, V/m."""
         return cast(VectorField, self["E"])
+
+    @property
+    def B(self) -> VectorField:
+        """Magnetic field of the particles, T; InputError if they have none that counts, as slow beams."""
+        return cast(VectorField, self["B"])
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.units)

@@ -37,6 +37,9 @@ class Strength:
     magnetic_gradient: float = 0.0  # T/m
     frequency: float = 0.0  # Hz
     length: float = math.inf  # m, over which the field comes and goes, at the least
+    smooth: bool = (
+        False  # whether it does so smoothly, sampled at steps: between hard ends it is averaged along flights
+    )
     node: float = math.inf  # m, between nodes of a map
 
 
@@ -61,18 +64,18 @@ def _(element: ConstantFocusingElement) -> Strength:
 
 @strength.register
 def _(element: QuadrupoleElement) -> Strength:
-    return Strength(magnetic_gradient=abs(element.gradient), length=_shortest(element))
+    return Strength(magnetic_gradient=abs(element.gradient), length=_shortest(element), smooth=element.fringe != "hard")
 
 
 @strength.register
 def _(element: DipoleElement) -> Strength:
-    return Strength(magnetic=abs(element.field), length=_shortest(element))
+    return Strength(magnetic=abs(element.field), length=_shortest(element), smooth=element.fringe != "hard")
 
 
 @strength.register
 def _(element: SolenoidElement) -> Strength:
     coil = math.inf if element.radius is None else COIL * element.radius
-    return Strength(magnetic=abs(element.field), length=min(element.length, coil))
+    return Strength(magnetic=abs(element.field), length=min(element.length, coil), smooth=element.radius is not None)
 
 
 @strength.register
@@ -80,7 +83,9 @@ def _(element: GapElement) -> Strength:
     """On the axis e = peak (1 - u²)⁴, whose largest slope is peak (8/√7) (6/7)³ per half of the length; E_r = -r e'/2."""
     peak = abs(element.voltage) * 315 / 128 / element.length
     slope = 8 / math.sqrt(7) * (6 / 7) ** 3 * peak / (element.length / 2)
-    return Strength(electric=peak, electric_gradient=slope, frequency=element.frequency, length=element.length)
+    return Strength(
+        electric=peak, electric_gradient=slope, frequency=element.frequency, length=element.length, smooth=True
+    )
 
 
 @strength.register

@@ -13,11 +13,13 @@ import numpy as np
 
 from .. import _native
 from ..particles.arrays import empty_columns
+from ..particles.clouds import Clouds
 from ..particles.frame import LABORATORY
 from ..particles.particles import Particles
 from ..scene.motion import Leapfrog
 from ..stages.gather import gather
 from ..stages.push import push
+from ..units import SPEED_OF_LIGHT
 from .course import Course
 from .plan import Plan
 from .solution import Solution
@@ -60,7 +62,7 @@ def kick_and_drift(
     assert isinstance(motion, Leapfrog)
     drifts_first = motion.form == "drift-kick-drift" and step == 0
     after, flight = (0.0, plan.dt / 2) if drifts_first else (plan.dt / 2, plan.dt)
-    then = course.after(flight, time, plan.external, motion.pusher)
+    then = course.after(flight, time, plan.external, plan.pusher(solution.frames))
     external = plan.external.seen_from(course.window).native if plan.scene.elements else None
     given = plan.fields.at(particles, time, course.window) if plan.fields else None
     shift = course.window.shift_to(then.window)
@@ -78,6 +80,18 @@ def kick(solution: Solution, particles: Particles, staggered: Staggered, plan: P
     return particles.replace(momentum=_push(solution, particles, staggered.lag, 0.0, 0.0, plan).momentum)
 
 
+def felt(solution: Solution, particles: Particles, clouds: Clouds) -> tuple[np.ndarray, np.ndarray]:
+    """Return E (V/m) and B (T), (n, 3), of a solution at particles, as a push has them. Collective."""
+    electric = gather(solution.efield, particles, clouds)
+    if solution.magnetic is not None:
+        magnetic = gather(solution.magnetic, particles, clouds)
+    else:
+        magnetic = np.cross(solution.beta, electric) / SPEED_OF_LIGHT
+    if solution.walls is not None:
+        electric += gather(solution.walls[1], particles, clouds)
+    return electric, magnetic
+
+
 def _push(
     solution: Solution,
     particles: Particles,
@@ -91,12 +105,9 @@ def _push(
     time: float = 0.0,
     shift: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Particles:
-    motion = plan.scene.motion
-    assert isinstance(motion, Leapfrog)
-    walls = plan.wall_field(solution)
     electric, magnetic = given if given is not None else (None, None)
-    if walls is not None:
-        electric = _sum(electric, gather(walls, particles, plan.clouds))
+    if solution.walls is not None:
+        electric = _sum(electric, gather(solution.walls[1], particles, plan.clouds))
     if solution.magnetic is not None:
         magnetic = _sum(magnetic, gather(solution.magnetic, particles, plan.clouds))
     return push(
@@ -106,7 +117,7 @@ def _push(
         after,
         dt,
         plan.clouds,
-        pusher=motion.pusher,
+        pusher=plan.pusher(solution.frames),
         beta=solution.beta,
         electric=electric,
         magnetic=magnetic,

@@ -17,6 +17,7 @@ from ..io.time_series import Series, settle
 from ..mesh.domain import AXES
 from ..mesh.field import Field, VectorField
 from ..parallel import together
+from ..particles.frame import LABORATORY
 from ..results.run_results import SERIES
 from ..stages.diagnostics import measure, quantities
 from ..units import Quantity, quantity
@@ -317,5 +318,8 @@ class Recorder:
 
 
 def _shown(state: State) -> dict[str, Field | VectorField]:
-    """Return what dumps and pictures show of a state."""
-    return {"rho": state.rho, "phi": state.phi, "E": state.efield.with_components()}
+    """Return what dumps and pictures show of a state: B where the particles have a magnetic field of their own."""
+    shown: dict[str, Field | VectorField] = {"rho": state.rho, "phi": state.phi, "E": state.efield.with_components()}
+    if state.solution.frames.only != LABORATORY:
+        shown["B"] = state.solution.bfield
+    return shown

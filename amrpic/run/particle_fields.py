@@ -62,8 +62,8 @@ class ParticleFields:
                 phi, report = plan.solve(rho, guess, only, last=self._last_report(only))
                 efield = plan.poisson(self.hierarchy, only).deferred_field(phi, covered=plan.clouds.covered)
                 plan.compensate(efield, rho, only)
-            before = self.phi if self.known is not None and plan.scene.extrapolates_potential else None
-            return Solution(rho, phi, efield, report, frames, before=before)
+            before = self._before if plan.scene.extrapolates_potential else None
+            return Solution(rho, phi, efield, report, frames, before=before, walls=plan.walls(self.hierarchy, frames))
         plan.go_without_compensation()
         known = self.known.parts if self.known is not None else ()
         guesses = [self._carried(part) for part in known] if len(known) == len(frames.members) else None
@@ -76,20 +76,27 @@ class ParticleFields:
                 efield = plan.poisson(self.hierarchy, frame).deferred_field(phi, covered=plan.clouds.covered)
             parts.append((frame, phi, efield, report))
         with plan.clock("solve"):
-            return superposed(self.rho, parts, frames)
+            return superposed(self.rho, parts, frames, plan.walls(self.hierarchy, frames))
 
     @cached_property
     def phi(self) -> Field:
-        """Potential, V."""
-        return self._carried(self.known.phi) if self.known is not None else self.solution.phi
+        """Potential, V, with that of what walls hold."""
+        if self.known is None or self._before is None:
+            return self.solution.potential
+        return self._before if self.known.walls is None else self._carried(self.known.potential)
 
     @cached_property
     def efield(self) -> VectorField:
-        """Electric field, V/m."""
-        if self.known is not None:
-            x, y, z = map(self._carried, self.known.efield.components)
-            return VectorField(x, y, z)
-        return self.solution.efield
+        """Electric field, V/m, with that of what walls hold."""
+        if self.known is None:
+            return self.solution.electric
+        x, y, z = map(self._carried, self.known.electric.components)
+        return VectorField(x, y, z)
+
+    @cached_property
+    def _before(self) -> Field | None:
+        """The potential of the step before that was solved for, on this mesh, V; None without one."""
+        return None if self.known is None else self._carried(self.known.phi)
 
     @cached_property
     def particles_per_cell(self) -> Field:
@@ -102,7 +109,7 @@ class ParticleFields:
         if self.known is not None and self.known.rho.hierarchy is self.hierarchy:
             return self.known.guess
         with self.plan.clock("regrid"):
-            return self.phi if self.known is not None else None
+            return self._before
 
     def _last_report(self, frame: Frame) -> SolveReport | None:
         """Return how the solve before went, if it was of the same equations."""

@@ -28,7 +28,6 @@ from ..stages.gather import compensate
 from ..stages.poisson import PoissonSolver, SolveReport
 from .clock import Clock
 from .field_functions import FieldFunction, FieldFunctions
-from .solution import Solution
 
 
 class Plan:
@@ -41,6 +40,7 @@ class Plan:
         self.dt: float = math.nan if dt == "auto" else dt  # s; `settle_time_step` chooses it for "auto"
         self.clock = Clock()
         self.remarks: list[str] = []
+        self.long_for: set[str] = set()  # kinds of what `dt` was remarked to be long for
         self.notes: list[str] = []  # what the run chose by itself, for its log
         self.compensation_by_auto = False  # whether the run chose it by itself
         self._solves: list[SolveReport] = []
@@ -52,7 +52,7 @@ class Plan:
             self.remark(
                 f'fields from Python act on nothing, since motion.kind is "{scene.motion.kind}"; set it to "leapfrog"'
             )
-        self._wall_field: VectorField | None = None
+        self._walls: tuple[Field, VectorField] | None = None
         self._potential, self._slope = scene.domain.wall_functions()
 
     def _maps(self) -> Maps:
@@ -99,6 +99,19 @@ class Plan:
         charges = [0.0 if some is None else some.weight @ np.abs(some.charge) for some in (particles, lost)]
         left, gone = self.comm.allreduce(np.array(charges))
         return float(left / (left + gone)) if gone > 0 else 1.0
+
+    def pusher(self, frames: Frames) -> str:
+        """Return how magnetic fields turn momenta of particles whose self-field is solved for in these frames.
+
+        Boris's angle counts what E alone would change: of a beam's own E and B, which cancel up to 1/γ² of either, it leaves
+        more than that.
+        """
+        motion = self.scene.motion
+        assert isinstance(motion, Leapfrog)
+        if motion.pusher == "boris" and frames.only != LABORATORY:
+            self.note("motion.pusher: higuera-cary while the particles have a magnetic field of their own")
+            return "higuera-cary"
+        return motion.pusher
 
     def poisson(self, hierarchy: Hierarchy, frame: Frame = LABORATORY) -> PoissonSolver:
         """Return the solver of a hierarchy in a frame, set up at the first call. Collective."""
@@ -154,21 +167,20 @@ class Plan:
             )
         return phi, report
 
-    def wall_field(self, solution: Solution) -> VectorField | None:
-        """Return the field of what the walls hold where the solution is without it, being one of another frame. Collective.
+    def walls(self, hierarchy: Hierarchy, frames: Frames) -> tuple[Field, VectorField] | None:
+        """Return φ and E of what the walls hold where a solution in these frames is without it, being of others. Collective.
 
         It is solved for once on each mesh, in the laboratory.
         """
-        if solution.frames.only == LABORATORY or (self._potential is None and self._slope is None):
+        if frames.only == LABORATORY or (self._potential is None and self._slope is None):
             return None
-        hierarchy = solution.rho.hierarchy
-        if self._wall_field is None or self._wall_field.hierarchy is not hierarchy:
+        if self._walls is None or self._walls[0].hierarchy is not hierarchy:
             with self.clock("solve"):
                 solver = PoissonSolver(hierarchy, options=self.scene.solver)
                 phi, report = solver.solve(Field(hierarchy), None, self._potential, self._slope)
                 self._require_converged(report)
-                self._wall_field = solver.deferred_field(phi, covered=self.clouds.covered)
-        return self._wall_field
+                self._walls = phi, solver.deferred_field(phi, covered=self.clouds.covered)
+        return self._walls
 
     def take_solves(self) -> list[SolveReport]:
         """Return how the solves since the latest call went, and forget them."""

@@ -50,7 +50,9 @@ from .step import state_of
 from .time_step import settle_time_step
 
 FIELDS = ("rho", "phi", "efield_x", "efield_y", "efield_z")
+OF_CHARGE = "_of_charge"  # behind a name: without what walls hold, where that is solved for by itself
 BEFORE = "phi_before"  # that of the step before, where solves start from both
+UNITS = {"rho": "C/m^3", "phi": "V", "efield": "V/m", "bfield": "T"}
 COLUMNS = ("position", "momentum", "weight", "id")
 ROW_BYTES = (24, 24, 8, 8)  # of each column
 LAGGING_BYTES = 24  # of the momenta that leapfrog keeps beside them
@@ -166,8 +168,7 @@ def _state(plan: Plan, held: Snapshot, stored: Hierarchy, hierarchy: Hierarchy) 
     same_ranks = len(servers) == plan.comm.size + 1
     another = _mesh_is_another(plan.scene, held.header)
     particles, _ = migrate(_particles(columns, species), hierarchy, servers if same_ranks and not another else None)
-    units = {"rho": "C/m^3", "phi": "V", BEFORE: "V"}
-    fields = {name: Field(stored, units.get(name, "V/m")) for name in held.fields}
+    fields = {name: Field(stored, UNITS[name.split("_")[0]]) for name in held.fields}
     options = SolverOptions(order=held.header.about.scene["solver"].get("order", 2))
     for name, field in fields.items():
         field.holds = options.potential_holds if name.startswith("phi") else "points"
@@ -175,10 +176,11 @@ def _state(plan: Plan, held: Snapshot, stored: Hierarchy, hierarchy: Hierarchy) 
             field.array(level)[:] = values
     if hierarchy is not stored and not another:
         fields = {name: carry_over(field, hierarchy) for name, field in fields.items()}
-    efield = VectorField(fields["efield_x"], fields["efield_y"], fields["efield_z"])
+    rho, phi, *efield_parts = (fields.get(name + OF_CHARGE, fields[name]) for name in FIELDS)
+    efield = VectorField(*efield_parts)
     frames = _frames(extra)
     if frames.only is not None:
-        plan.compensate(efield, fields["rho"], frames.only)
+        plan.compensate(efield, rho, frames.only)
     magnetic: VectorField | None = None
     parts: tuple[Field, ...] = ()
     if frames.only is None:
@@ -186,7 +188,8 @@ def _state(plan: Plan, held: Snapshot, stored: Hierarchy, hierarchy: Hierarchy) 
         parts = tuple(fields[f"phi_{number}"] for number in range(len(frames.members)))
     report = SolveReport(**extra["report"])
     before = fields.get(BEFORE)
-    solution = Solution(fields["rho"], fields["phi"], efield, report, frames, parts, magnetic, before)
+    walls = plan.walls(rho.hierarchy, frames)
+    solution = Solution(rho, phi, efield, report, frames, parts, magnetic, before, walls)
     if another:
         moved = follow(ParticleFields(particles, hierarchy, plan, solution, frames))
         particles, hierarchy, solution = moved.particles, moved.hierarchy, moved.solution
@@ -197,20 +200,27 @@ def _state(plan: Plan, held: Snapshot, stored: Hierarchy, hierarchy: Hierarchy) 
     if math.isnan(plan.dt) and given == "auto":
         plan.dt = before
     if plan.dt != before:
-        settle_time_step(plan, particles, hierarchy, frames, course)
+        settle_time_step(plan, particles, hierarchy, solution.frames, course, solution)
     return state_of(plan, particles, solution, lost, screens, course, held.header.step, held.header.time, lag)
 
 
 def _fields(state: State) -> dict[str, Field]:
-    efield = state.efield.with_components()
+    solution = state.solution
     # E is kept although it follows from φ: at open walls that takes the charge of the latest solve as well.
-    out = dict(zip(FIELDS, (state.rho, state.phi, efield.x, efield.y, efield.z), strict=True))
-    if (magnetic := state.solution.magnetic) is not None:
-        out |= {f"bfield_{axis}": field for axis, field in zip(AXES, magnetic.components, strict=True)}
-        out |= {f"phi_{number}": part for number, part in enumerate(state.solution.parts)}
-    if (before := state.solution.before) is not None:
-        out[BEFORE] = before
+    out = _by_name(state.rho, state.phi, state.efield)
+    if solution.walls is not None:  # a run goes on from what is without them, to the last bit
+        of_charge = _by_name(state.rho, solution.phi, solution.efield)
+        out |= {name + OF_CHARGE: field for name, field in of_charge.items() if name != "rho"}
+    if solution.magnetic is not None:
+        out |= {f"bfield_{axis}": field for axis, field in zip(AXES, solution.magnetic.components, strict=True)}
+        out |= {f"phi_{number}": part for number, part in enumerate(solution.parts)}
+    if solution.before is not None:
+        out[BEFORE] = solution.before
     return out
+
+
+def _by_name(rho: Field, phi: Field, efield: VectorField) -> dict[str, Field]:
+    return dict(zip(FIELDS, (rho, phi, *efield.with_components().components), strict=True))
 
 
 def _frames(extra: Mapping[str, Any]) -> Frames:

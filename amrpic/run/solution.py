@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -17,16 +18,44 @@ from ..units import SPEED_OF_LIGHT
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A charge density, and the potential and field that were solved for it: those of all energy bins together."""
+    """A charge density, and the potential and field that were solved for it: those of all energy bins together.
+
+    What particles feel, and what is shown, are `potential`, `electric` and `bfield`.
+    """
 
     rho: Field  # of the particles, C/m³; without a neutralizing background
-    phi: Field  # V
-    efield: VectorField  # V/m
+    phi: Field  # V; without `walls`
+    efield: VectorField  # V/m; without `walls`
     report: SolveReport  # of the bin that took most cycles
     frames: Frames = ONE_FRAME  # in which the charge of each bin rests
     parts: tuple[Field, ...] = ()  # φ of each bin, if there are more than one, V
     magnetic: VectorField | None = None  # T, if there are more bins than one
     before: Field | None = None  # φ of the step before on this mesh, where the next solve starts from both, V
+    walls: tuple[Field, VectorField] | None = (
+        None  # φ and E of what walls hold, where those above are without: see `Plan.walls`
+    )
+
+    @cached_property
+    def potential(self) -> Field:
+        """Potential of the charge and of what walls hold, V; read-only."""
+        if self.walls is None:
+            return self.phi
+        out = self.phi + self.walls[0]
+        out.lock()
+        return out
+
+    @cached_property
+    def electric(self) -> VectorField:
+        """Electric field of the charge and of what walls hold, V/m; read-only."""
+        if self.walls is None:
+            return self.efield
+        both = (field.with_components().components for field in (self.efield, self.walls[1]))
+        out = VectorField(*(one + other for one, other in zip(*both, strict=True)))
+        for component in out.components:
+            component.lock()
+        if self.efield.compensation is not None:
+            out.compensate(self.efield.compensation)
+        return out
 
     @property
     def guess(self) -> Field:
@@ -56,8 +85,13 @@ class Solution:
         return out
 
 
-def superposed(rho: Field, parts: Sequence[tuple[Frame, Field, VectorField, SolveReport]], frames: Frames) -> Solution:
-    """Return the sum of what was solved for each bin."""
+def superposed(
+    rho: Field,
+    parts: Sequence[tuple[Frame, Field, VectorField, SolveReport]],
+    frames: Frames,
+    walls: tuple[Field, VectorField] | None = None,
+) -> Solution:
+    """Return the sum of what was solved for each bin, beside the field of what walls hold."""
     hierarchy = rho.hierarchy
     phi, electric, magnetic = Field(hierarchy, "V"), zeros(hierarchy, "V/m"), zeros(hierarchy, "T")
     for frame, part, field, _ in parts:
@@ -67,7 +101,7 @@ def superposed(rho: Field, parts: Sequence[tuple[Frame, Field, VectorField, Solv
             _add(total, 1.0, component)
         add_magnetic(magnetic, field, frame.beta)
     report = max((one[3] for one in parts), key=lambda report: report.cycles)
-    return Solution(rho, phi, electric, report, frames, tuple(one[1] for one in parts), magnetic)
+    return Solution(rho, phi, electric, report, frames, tuple(one[1] for one in parts), magnetic, walls=walls)
 
 
 def zeros(hierarchy: Hierarchy, unit: str) -> VectorField:

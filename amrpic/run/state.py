@@ -49,13 +49,13 @@ class State:
 
     @property
     def phi(self) -> Field:
-        """Potential, V."""
-        return self.solution.phi
+        """Potential, V, with that of what walls hold."""
+        return self.solution.potential
 
     @property
     def efield(self) -> VectorField:
-        """Electric field, V/m."""
-        return self.solution.efield
+        """Electric field, V/m, with that of what walls hold."""
+        return self.solution.electric
 
     @property
     def report(self) -> SolveReport:

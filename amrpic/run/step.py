@@ -25,7 +25,7 @@ from .plan import Plan
 from .records import Record
 from .solution import Solution
 from .state import State
-from .time_step import settle_time_step
+from .time_step import check_time_step, settle_time_step
 
 
 def advance(state: State, plan: Plan) -> State:
@@ -40,6 +40,7 @@ def advance(state: State, plan: Plan) -> State:
     fields = ParticleFields(particles, state.hierarchy, plan, state.solution, frames, deposition)
     if plan.scene.refinement.regrids_at(step) or outrun(fields):
         fields = follow(fields, plan.scene.refinement.hysteresis)
+    check_time_step(plan, fields.particles, fields.solution, step)
     # Boxes may be cut anew without another cell, as after a restart on other ranks.
     regridded = fields.hierarchy is not state.hierarchy and not fields.hierarchy.same_cells(state.hierarchy)
     return state_of(plan, fields.particles, fields.solution, lost, screens, course, step, now, plan.dt / 2, regridded)
@@ -60,7 +61,7 @@ def begin(plan: Plan) -> State:
         particles, lost, screens = place(bunches, base, course.window, plan, start)
     _require_some_inside(plan.comm, particles, made)
     fields = follow(ParticleFields(particles, base, plan))
-    settle_time_step(plan, fields.particles, fields.hierarchy, fields.frames, course)
+    settle_time_step(plan, fields.particles, fields.hierarchy, fields.frames, course, fields.solution)
     return state_of(plan, fields.particles, fields.solution, lost, screens, course, 0, start)
 
 

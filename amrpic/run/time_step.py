@@ -15,21 +15,31 @@ from ..mesh.hierarchy import Hierarchy
 from ..parallel import from_rank_0
 from ..particles.clouds import Clouds
 from ..particles.energy_bins import Frames
+from ..particles.frame import Frame
 from ..particles.particles import Particles
 from ..scene.motion import Leapfrog
 from ..stages.deposit import deposit
+from ..stages.push import IN_CACHE
 from ..units import SPEED_OF_LIGHT, VACUUM_PERMITTIVITY, falls_short
 from .course import Course
 from .element_strengths import Strength, strength
+from .leapfrog import felt
 from .plan import Plan
+from .solution import Solution
 
 # Steps per time: what "auto" takes, and what a step that is given should not fall below.
 PER_CELL, LEAST_PER_CELL = 2.0, 1.0
 PER_PLASMA_PERIOD, LEAST_PER_PLASMA_PERIOD = 60.0, 2 * math.pi / 0.5
+# Momenta that change by a part a of m c in a step, in the beam's frame, have an error of a² / 24 of the change.
+PER_GAIN, LEAST_PER_GAIN = 40.0, 4.0
 # So many that passages through elements are exact to 1e-5: `amrpic verify dynamics`.
 PER_PERIOD, LEAST_PER_PERIOD = 1000.0, 20.0
 PER_RF_PERIOD = 640.0
-PER_LENGTH, PER_NODE = 80.0, 1.0
+PER_LENGTH, LEAST_PER_LENGTH = 80.0, 4.0  # four places sum up the profile of a gap, a fringe or a coil to 0.5 %
+PER_NODE, LEAST_PER_NODE = 1.0, 0.25
+
+
+EVERY = 100  # steps from one look at whether the step has become long to the next
 
 
 @dataclass(frozen=True)
@@ -53,18 +63,26 @@ class Fastest:
     current_per_mass: float  # |q v| / (γ m), C m/(kg s)
 
 
-def settle_time_step(plan: Plan, particles: Particles, hierarchy: Hierarchy, frames: Frames, course: Course) -> None:
+def settle_time_step(
+    plan: Plan,
+    particles: Particles,
+    hierarchy: Hierarchy,
+    frames: Frames,
+    course: Course,
+    solution: Solution | None = None,
+) -> None:
     """Choose the plan's time step where the scene leaves that to the run and it is not known yet, and note which rule it is.
 
     A remark says of a step that the scene gives if it is long. The particles are sorted on the hierarchy, and `frames` are
-    those of their self-field. Collective; InputError on all ranks if nothing in the run has a time of its own.
+    those of their self-field, which counts if a `solution` holds it. Collective; InputError on all ranks if nothing in the
+    run has a time of its own.
     """
     motion = plan.scene.motion
     if not isinstance(motion, Leapfrog):
         return
-    found = [process for process in processes(plan, particles, hierarchy, frames, course) if process.time < math.inf]
+    found = [one for one in processes(plan, particles, hierarchy, frames, course, solution) if one.time < math.inf]
     if motion.dt != "auto":
-        _remark(plan, found)
+        _remark(plan, found, 'shorten it, or set it to "auto"')
     elif math.isnan(plan.dt):
         if not found:
             raise InputError(
@@ -80,19 +98,33 @@ def settle_time_step(plan: Plan, particles: Particles, hierarchy: Hierarchy, fra
         plan.notes.append(f"motion.dt: {plan.dt:.4g} s, {first.steps:g} steps per {first.what}")
 
 
-def _remark(plan: Plan, found: list[Process]) -> None:
+def check_time_step(plan: Plan, particles: Particles, solution: Solution, step: int) -> None:
+    """Remark if the plan's step has become long for charge or field at a later step, once for each kind. Collective."""
+    if isinstance(plan.scene.motion, Leapfrog) and step % EVERY == 0:
+        found = own_processes(plan, particles, solution.rho.hierarchy, solution.frames, solution)
+        known = [process for process in found if process.time < math.inf]
+        _remark(plan, known, "go on from an earlier checkpoint with a shorter one", f" at step {step}")
+
+
+def _remark(plan: Plan, found: list[Process], remedy: str, when: str = "") -> None:
     for kind in dict.fromkeys(process.kind for process in found):
         same = (process for process in found if process.kind == kind)
         worst = max(same, key=lambda one: one.least / one.time if one.time > 0 else math.inf)
-        if falls_short(worst.time / plan.dt, worst.least):
+        if falls_short(worst.time / plan.dt, worst.least) and kind not in plan.long_for:
+            plan.long_for.add(kind)
             plan.remark(
-                f"motion.dt of {plan.dt:.4g} s is long: {worst.time / plan.dt:.3g} steps per {worst.what}, where at least "
-                f'{worst.least:.3g} are advisable; shorten it, or set it to "auto"'
+                f"motion.dt of {plan.dt:.4g} s is long{when}: {worst.time / plan.dt:.3g} steps per {worst.what}, where at "
+                f"least {worst.least:.3g} are advisable; {remedy}"
             )
 
 
 def processes(
-    plan: Plan, particles: Particles, hierarchy: Hierarchy, frames: Frames, course: Course
+    plan: Plan,
+    particles: Particles,
+    hierarchy: Hierarchy,
+    frames: Frames,
+    course: Course,
+    solution: Solution | None = None,
 ) -> Iterator[Process]:
     """Return what goes on in a run at its start. Collective.
 
@@ -103,22 +135,37 @@ def processes(
     for axis, width, speed in zip(AXES, widths, fast.along, strict=True):
         what = f"passage of a particle through a cell of the finest level along {axis}"
         yield Process("cell", what, _time(width, speed), PER_CELL, LEAST_PER_CELL)
-    omega = plasma_frequency(particles, hierarchy, plan.clouds, frames)
-    yield Process("plasma", "plasma period", _time(2 * math.pi, omega), PER_PLASMA_PERIOD, LEAST_PER_PLASMA_PERIOD)
+    yield from own_processes(plan, particles, hierarchy, frames, solution)
     elements = plan.external.elements
     strengths = from_rank_0(plan.comm, lambda: [strength(element) for element in elements], InputError)  # reads maps
     for number, (element, of) in enumerate(zip(elements, strengths, strict=True)):
         yield from _processes_in(of, element.name or f"elements.{number}", fast)
 
 
+def own_processes(
+    plan: Plan, particles: Particles, hierarchy: Hierarchy, frames: Frames, solution: Solution | None = None
+) -> Iterator[Process]:
+    """Return what the charge of the particles does, and their own field if it is known. Collective."""
+    of_all, single = (law(particles, hierarchy, plan.clouds, frames) for law in (plasma_frequency, oscillation))
+    what = "plasma period" if single < 1.1 * of_all else "oscillation of a particle in the charge of all"
+    period = _time(2 * math.pi, max(of_all, single))
+    yield Process("plasma", what, period, PER_PLASMA_PERIOD, LEAST_PER_PLASMA_PERIOD)
+    if solution is not None:
+        gain, across = own_changes(particles, solution, plan.clouds)
+        for what, rate in (("gain of γ m c", gain), ("gain of m c across the motion", across)):
+            what += " in the particles' own field"
+            yield Process("own", what, _time(1.0, rate), PER_GAIN, LEAST_PER_GAIN)
+
+
 def _processes_in(of: Strength, name: str, fast: Fastest) -> Iterator[Process]:
     for what, omega in (("betatron", betatron(of, fast)), ("cyclotron", cyclotron(of, fast))):
         period = _time(2 * math.pi, omega)
         yield Process("element", f"{what} period in {name}", period, PER_PERIOD, LEAST_PER_PERIOD)
-    yield Process("element", f"gain of γ m c in {name}", _time(1.0, acceleration(of, fast)), PER_PERIOD)
+    yield Process("element", f"gain of γ m c in {name}", _time(1.0, acceleration(of, fast)), PER_PERIOD, LEAST_PER_GAIN)
     yield Process("rf", f"RF period of {name}", _time(1.0, of.frequency), PER_RF_PERIOD, LEAST_PER_PERIOD)
-    yield Process("length", f"passage through {name} or its fringe", _time(of.length, fast.speed), PER_LENGTH)
-    yield Process("length", f"passage between nodes of {name}", _time(of.node, fast.speed), PER_NODE)
+    least = LEAST_PER_LENGTH if of.smooth else 0.0
+    yield Process("length", f"passage through {name} or its fringe", _time(of.length, fast.speed), PER_LENGTH, least)
+    yield Process("node", f"passage between nodes of {name}", _time(of.node, fast.speed), PER_NODE, LEAST_PER_NODE)
 
 
 def _time(amount: float, rate: float) -> float:
@@ -144,18 +191,62 @@ def acceleration(of: Strength, fast: Fastest) -> float:
 
 
 def plasma_frequency(particles: Particles, hierarchy: Hierarchy, clouds: Clouds, frames: Frames) -> float:
-    """Return the largest angular plasma frequency on the mesh in 1/s: ω² = Σ q² n / (ε0 m γ³), over species and energy bins.
-
-    γ is that of the frame in which the charge of a bin rests. Across the motion its magnetic field leaves 1/γ² of the force,
-    for a mass γ m; along it the mass is γ³ m. Collective.
+    """Return the largest angular plasma frequency on the mesh in 1/s: ω² = Σ s q² n / (ε0 m), over all particles, each with
+    its `stiffness` s in the charge of its energy bin: 1/γ³ if it goes along. Along the motion the mass is γ³ m. Collective.
     """
     parts = zip(frames.members, frames.parts(particles), strict=True)
-    weight = sum(part.weight / frame.gamma**3 for frame, part in parts)
+    weight = sum(part.weight * stiffness(particles, frame) for frame, part in parts)
     table = particles.species
     kinds = tuple(replace(kind, charge=kind.charge**2 / kind.mass) for kind in table.kinds)
     weighed = replace(particles.with_weight(np.asarray(weight)), species=replace(table, kinds=kinds))
     density = deposit(weighed, hierarchy, clouds).max_abs()  # C²/(kg m³)
     return math.sqrt(density / VACUUM_PERMITTIVITY)
+
+
+def oscillation(particles: Particles, hierarchy: Hierarchy, clouds: Clouds, frames: Frames) -> float:
+    """Return the largest angular frequency of a particle in the charge of all, in 1/s, which may be much lighter or slower
+    than most: ω² = |q| / (ε0 m) Σ |ρ| s over energy bins, with the stiffness s of the particle in each. Collective.
+    """
+    square = np.zeros(len(particles))
+    for frame, part in zip(frames.members, frames.parts(particles), strict=True):
+        square += stiffness(particles, frame) * deposit(part, hierarchy, clouds).max_abs()
+    square *= np.abs(particles.charge) / (particles.mass * VACUUM_PERMITTIVITY)
+    return math.sqrt(hierarchy.comm.allreduce(square.max(initial=0.0), MPI.MAX))
+
+
+def stiffness(particles: Particles, frame: Frame) -> np.ndarray:
+    """Return (1 - v·V/c²) / γ (n,) of particles with velocities v in charge that moves with V: 1/γ³ for those that go along.
+
+    Of the electric force across V its magnetic field leaves the first factor, for a mass γ m.
+    """
+    per_mc = 1 / (particles.mass * SPEED_OF_LIGHT)
+    gamma_square = 1 + sum(np.square(particles.momentum[:, axis] * per_mc) for axis in range(3))
+    # γ of the particle in the frame
+    relative = np.sqrt(gamma_square) * frame.gamma - particles.momentum[:, frame.axis] * per_mc * frame.momentum
+    return np.maximum(relative, 1.0) / (gamma_square * frame.gamma)
+
+
+def own_changes(particles: Particles, solution: Solution, clouds: Clouds) -> tuple[float, float]:
+    """Return at which rates (1/s) the particles' own field changes their momenta, at most. Collective.
+
+    Relative to γ m c: |q (E + v × B)| / (γ m c), where E and v × B nearly cancel in a fast beam. And how fast v × B, and so
+    the force, follows such changes: |q| √(B²/γ² + (v·B/c)²) / (γ m), which is the gain of m c where E and v × B cancel.
+    """
+    electric, magnetic = felt(solution, particles, clouds)
+    most = np.zeros(2)
+    for first in range(0, len(particles), IN_CACHE):
+        some = slice(first, first + IN_CACHE)
+        mass, b = particles.mass[some], magnetic[some]
+        u = particles.momentum[some] / (mass * SPEED_OF_LIGHT)[:, None]
+        gamma = np.sqrt(1 + (u**2).sum(axis=1))
+        beta = u / gamma[:, None]
+        force = np.linalg.norm(electric[some] / SPEED_OF_LIGHT + np.cross(beta, b), axis=1)
+        turn = np.hypot(np.linalg.norm(b, axis=1) / gamma, (beta * b).sum(axis=1))
+        per_mass = np.abs(particles.charge[some]) / (mass * gamma)
+        most = np.maximum(most, [(per_mass * force).max(), (per_mass * turn).max()])
+    solution.rho.comm.Allreduce(MPI.IN_PLACE, most, MPI.MAX)
+    gain, across = most.tolist()
+    return gain, across
 
 
 def fastest(comm: MPI.Comm, particles: Particles, course: Course) -> Fastest:

@@ -46,7 +46,8 @@ class Leapfrog(Section):
     pusher: Literal["higuera-cary", "boris"] = Field(
         default="higuera-cary",
         description="How magnetic fields turn momenta. Higuera and Cary's keeps particles at rest in their bunch where E and "
-        "v × B cancel; Boris's does not, and costs a root less.",
+        "v × B cancel, for any length of step; Boris's does not, costs a root less, and acts as long as the self-field has no "
+        "magnetic part.",
     )
     frame: Literal["auto", "lab", "rest"] = Field(
         default="auto",
@@ -75,8 +76,9 @@ class Leapfrog(Section):
         float | Literal["auto"],
         BeforeValidator(_step, json_schema_input_type=Annotated[Time, Field(gt=0)] | Literal["auto"]),
     ] = Field(
-        description="Time step, s. auto: chosen once, at the start, from the time to cross a cell, the plasma period, and the "
-        "periods and lengths of elements; the log says which was the shortest. A restart goes on with the same step."
+        description="Time step, s. auto: chosen once, at the start, from the time to cross a cell, the plasma period, what "
+        "the particles' own field changes, and the periods and lengths of elements; the log says which was the shortest. A "
+        "restart goes on with the same step."
     )
 
 

@@ -14,8 +14,8 @@ using Space = Kokkos::DefaultExecutionSpace;
 template <class T>
 using Array = Kokkos::View<T*, Kokkos::LayoutLeft, Space>;
 
-/// Whether kernels read and write the host's own memory: nothing is copied then, and a row belongs to one thread. AMRPIC_APART
-/// rehearses a card on the host: with copies of their own, and teams.
+/// Whether kernels read and write the host's own memory: nothing is copied then, and a row belongs to one thread.
+/// AMRPIC_APART rehearses a card on the host: with copies of their own, and teams.
 #ifdef AMRPIC_APART
 constexpr bool on_host = false;
 #else

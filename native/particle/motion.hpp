@@ -25,38 +25,26 @@ enum class Pusher {
   higuera_cary,  ///< A. V. Higuera and J. R. Cary, Phys. Plasmas 24, 052104 (2017): keeps E + v x B = 0 at rest
 };
 
-/// A momentum that turns about a magnetic field: half way, and at the end.
-template <class V>
-struct Turned {
-  Vector3<V> between, after;
-};
-
-/// The turn of a momentum in two times `half` in a magnetic field, with charge / mass * half.
+/// A momentum after its turn about a magnetic field, with charge / mass * half of the time.
 ///
-/// Both pushers turn p by 2 atan t about B with t = tau / g, tau = q B half / m. Boris has g = gamma. Higuera and Cary
-/// have g^2 = (s + sqrt(s^2 + 4 (tau^2 + (tau . u)^2))) / 2 with s = gamma^2 - tau^2, u = p / (m c) (their eq. 20).
-/// Neither g changes by the turn. With w^2 = g^2 + tau^2 and f = g p + p x tau, half of the turn gives
-/// (f + tau (tau . p) / (g + w)) / w, the whole one p + 2 f x tau / w^2.
+/// Both pushers turn p by 2 atan t about B with t = tau / g, tau = q B time / (2 m). Boris has g = gamma. Higuera and
+/// Cary have g^2 = (s + sqrt(s^2 + 4 (tau^2 + (tau . u)^2))) / 2 with s = gamma^2 - tau^2, u = p / (m c) (their eq.
+/// 20). With w^2 = g^2 + tau^2 and f = g p + p x tau the turn is p + 2 f x tau / w^2.
 template <class V>
-KOKKOS_INLINE_FUNCTION Turned<V> turned(Pusher pusher, Vector3<V> const& p, Vector3<V> const& b,
-                                        V const& charge_over_mass_half, V const& per_mc) {
+KOKKOS_INLINE_FUNCTION Vector3<V> turned(Pusher pusher, Vector3<V> const& p, Vector3<V> const& b,
+                                         V const& charge_over_mass_half, V const& per_mc) {
   Vector3<V> const tau = scaled(charge_over_mass_half, b);
-  V const tau_square = dot(tau, tau), along = dot(tau, p);
+  V const tau_square = dot(tau, tau);
   V g_square = gamma_square(p, per_mc);
   if (pusher == Pusher::higuera_cary) {
-    V const half_s = 0.5 * (g_square - tau_square), along_u = per_mc * along;
+    V const half_s = 0.5 * (g_square - tau_square), along_u = per_mc * dot(tau, p);
     g_square = half_s + square_root(half_s * half_s + (tau_square + along_u * along_u));
   }
-  V const w_square = g_square + tau_square, per_w = inverse_root(w_square), g = square_root(g_square);
+  V const g = square_root(g_square), twice = 2 * reciprocal(g_square + tau_square);
   Vector3<V> f = cross(p, tau);
   for (std::size_t d = 0; d < 3; ++d) f[d] += g * p[d];
-  V const by_tau = along * reciprocal(g + w_square * per_w), twice = 2 * per_w * per_w;
-  Turned<V> out;
-  out.after = cross(f, tau);
-  for (std::size_t d = 0; d < 3; ++d) {
-    out.between[d] = per_w * (f[d] + by_tau * tau[d]);
-    out.after[d] = p[d] + twice * out.after[d];
-  }
+  Vector3<V> out = cross(f, tau);
+  for (std::size_t d = 0; d < 3; ++d) out[d] = p[d] + twice * out[d];
   return out;
 }
 

@@ -36,28 +36,16 @@ struct InFields {
     V const impulse = charge * time;
     for (std::size_t d = 0; d < 3; ++d) p[d] += impulse * e[d];
   }
-  KOKKOS_INLINE_FUNCTION Turned<V> turned(Pusher pusher, Vector3<V> const& b, V const& time) const {
-    return amrpic::turned(pusher, p, b, time * charge * inverse_mass, per_mc);
-  }
   KOKKOS_INLINE_FUNCTION void turn(Pusher pusher, Vector3<V> const& b, V const& time) {
-    p = turned(pusher, b, time).between;
+    p = turned(pusher, p, b, 0.5 * time * charge * inverse_mass, per_mc);
+  }
+  /// Half of the kick by E, the turn by B, and the other half: where E + v x B = 0, momenta stay what they are.
+  KOKKOS_INLINE_FUNCTION void act(Pusher pusher, Vector3<V> const& e, Vector3<V> const& b, Real time) {
+    kick(e, 0.5 * time);
+    turn(pusher, b, time + V{});
+    kick(e, 0.5 * time);
   }
 };
-
-/// Both parts of a step in the same fields: a kick by E and a turn by B, and a turn and a kick. Return the momenta
-/// between them.
-template <class V>
-KOKKOS_INLINE_FUNCTION Vector3<V> act(InFields<V>& on, Vector3<V> const& e, Vector3<V> const& b, Motion const& motion) {
-  on.kick(e, motion.before);
-  auto [between, after] = on.turned(motion.pusher, b, motion.before + V{});
-  if (motion.after != motion.before) {
-    on.p = between;
-    after = on.turned(motion.pusher, b, motion.after + V{}).between;
-  }
-  on.p = after;
-  on.kick(e, motion.after);
-  return between;
-}
 
 /// What becomes of particles in a step.
 template <class V>
@@ -126,7 +114,9 @@ struct Mover {
   }
   template <class V>
   KOKKOS_INLINE_FUNCTION Moving<V> moved(InFields<V> on, Vector3<V> const& e, Vector3<V> const& b) const {
-    Vector3<V> const between = act(on, e, b, motion);
+    on.act(motion.pusher, e, b, motion.before);
+    Vector3<V> const between = on.p;
+    on.act(motion.pusher, e, b, motion.after);
     return {between, on.p, flown(on)};
   }
 };

@@ -43,9 +43,7 @@ inline void act_along_flight(Group& on, Components e, Components b, Real time, b
   Real const from = is_before ? -time : 0, to = is_before ? 0 : time;
   add_mean_field(*motion.external, Flight<Lanes>{on.x, arriving, motion.time, from, to}, e, b, edges);
   if (edges.crossed) pass(on, motion.pusher, edges.first, edges.normal, arriving, time, edges.entered);
-  if (is_before) on.kick(e, time);
-  on.turn(motion.pusher, b, time + Lanes{});
-  if (!is_before) on.kick(e, time);
+  on.act(motion.pusher, e, b, time);
   if (edges.crossed) pass(on, motion.pusher, edges.last, edges.normal, arriving, time, edges.left);
 }
 
@@ -141,7 +139,7 @@ OneParticle push_one(OneParticle const& particle, Motion const& motion) {
   if (motion.external->add_field(motion.time, reach_of(motion), at))
     act_along_flights(on, {}, {}, motion);
   else
-    act(on, at.E[0], at.B[0], motion);
+    for (Real const time : {motion.before, motion.after}) on.act(motion.pusher, at.E[0], at.B[0], time);
   Components const v = on.velocity();
   OneParticle out = particle;
   for (std::size_t d = 0; d < 3; ++d) {

@@ -41,9 +41,10 @@ struct Moved {
 };
 
 /// Write momenta after `before` and `after` seconds in the fields at their places, and the positions that a flight with
-/// these leads to: what `gather` would give is used and not kept. The parts are a kick by E and a turn by B, and a turn
-/// and a kick, so that a step of two equal parts is symmetric in time; the fields of elements are the means over the
-/// straight flight of each part, see `add_mean_field`. Otherwise as `gather`. Collective.
+/// these leads to: what `gather` would give is used and not kept. Each part is half of a kick by E, a turn by B and the
+/// other half, so that momenta between the parts are those of that time however large E and v x B are that cancel; the
+/// fields of elements are the means over the straight flight of each part, see `add_mean_field`. Otherwise as `gather`.
+/// Collective.
 void push(ParticleMesh& mesh, RemoteBricks const& remote, Clouds const& clouds, ElectricField const& field,
           ParticleView const& particles, std::int64_t const* starts, Motion const& motion, Moved const& out);
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError, ParticleError
-from ..mesh.domain import AXES
+from ..mesh.domain import AXES, Domain
 from ..particles.particles import Particles
 from ..particles.species import SPECIES, Species, SpeciesTable
 from .openpmd_files import base, chosen, opened, text
@@ -83,6 +84,17 @@ def when(file: str | Path) -> tuple[int, float]:
         attributes = h5["/".join(parts)].attrs
         step = int(parts[-1]) if parts[-1].isdigit() else 0
         return step, float(attributes.get("time", 0.0)) * float(attributes.get("timeUnitSI", 1.0))
+
+
+def domain_of(file: str | Path) -> Domain | None:
+    """Return the domain of the run that wrote a file; None of another program's file, or if it moves. Raises InputError."""
+    with _opened(Path(file)) as h5:
+        ours = h5.get("amrpic/scene")
+        scene = json.loads(ours.asstr()[()]) if isinstance(ours, h5py.Dataset) else {}
+    domain = scene.get("domain")
+    if not domain or scene.get("motion", {}).get("window", "none") != "none":
+        return None
+    return Domain(domain["lower"], domain["upper"], domain["cells"], domain["boundary"])
 
 
 def _opened(path: Path) -> contextlib.AbstractContextManager[h5py.File]:

@@ -9,6 +9,7 @@ import h5py
 import numpy as np
 
 from ..errors import InputError
+from ..mesh.domain import Domain
 from ..particles.groups import Groups, NamedBunches
 from ..particles.particles import Particles, concatenate
 from ..particles.species import SpeciesTable
@@ -28,6 +29,7 @@ class ParticleDump:
     time: float  # s
     particles: Particles
     groups: Groups
+    domain: Domain | None  # in which they are, where that is known
 
 
 def read(path: Path) -> ParticleDump:
@@ -65,7 +67,7 @@ def _of_checkpoint(path: Path) -> ParticleDump:
     scene = Scene.from_dict(header.about.scene, source=f"the scene in {path}")
     bunches = [NamedBunches(bunch.name, bunch.copies, bunch.number) for bunch in scene.bunches]
     particles = Particles(position, momentum, weight, ids, table)
-    return ParticleDump(path, header.step, header.time, particles, Groups.of(table, bunches))
+    return ParticleDump(path, header.step, header.time, particles, Groups.of(table, bunches), scene.domain.value)
 
 
 def _of_openpmd(path: Path) -> ParticleDump:
@@ -78,4 +80,4 @@ def _of_openpmd(path: Path) -> ParticleDump:
     table = SpeciesTable.of_runs((int(end), part.species.kinds[0]) for end, part in zip(ends[:-1], parts, strict=True))
     particles = concatenate([Particles(*part.arrays, table) for part in parts])
     step, time = openpmd_reader.when(path)
-    return ParticleDump(path, step, time, particles, Groups.of_species(table))
+    return ParticleDump(path, step, time, particles, Groups.of_species(table), openpmd_reader.domain_of(path))

@@ -9,14 +9,16 @@ import numpy as np
 from mpi4py import MPI
 
 from .. import _native
+from ..errors import ParticleError
 from ..mesh.domain import FACES
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.window import Window
+from ..parallel import raise_together
 from ..particles.particles import Particles, cut
 from ..scene.obstacles import aperture_names
 from ..scene.scene import Scene
 from ..stages.deposit import Deposition
-from ..stages.encounters import Encounters, Flights
+from ..stages.encounters import MOST_PERIODS, Encounters, Flights
 from ..stages.migrate import arranged, migrate_without, share_out, weights
 from .leapfrog import kick
 from .plan import Plan
@@ -86,6 +88,8 @@ def fly(
     """
     scene, hierarchy = plan.scene, state.hierarchy
     flights = Flights(state.particles.position, moved.position, hierarchy.domain, state.window, window)
+    if (scene.apertures or scene.screens) and any(hierarchy.domain.periodic):
+        _require_followable(plan.comm, flights)
     stopped = flights.losses(plan.apertures) if scene.apertures else NOTHING
     servers = state.particles.sorted_on(hierarchy).servers
     begun: list[Deposition] = []
@@ -117,6 +121,14 @@ def fly(
 
     lost_until_now = state.lost.joined(recorded(lost, causes(scene)))
     return particles, deposition, lost_until_now, state.screens.joined(recorded(passed, screens))
+
+
+def _require_followable(comm: MPI.Comm, flights: Flights) -> None:
+    """Raise ParticleError on all ranks if a flight has too many periods to be followed past apertures and screens."""
+    most = flights.most_periods
+    message = f"a particle flies through {most:.3g} periods of the domain in a step, past apertures or screens"
+    too_many = most > MOST_PERIODS
+    raise_together(comm, f"{message}; shorten motion.dt" if too_many else None, ParticleError)
 
 
 def kicked(state: State, plan: Plan) -> State:

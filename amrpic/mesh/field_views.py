@@ -87,8 +87,8 @@ class FieldViews(ABC):
     def line(self, start: ArrayLike, end: ArrayLike, count: int | None = None) -> Profile:
         """Return the values on the straight line between two points (x, y, z) in m, by default two for each finest cell width.
 
-        Points outside the domain take the value of the wall cell, those beyond periodic faces that of their images. Collective; raises InputError on all ranks for ends that are
-        no points, or one point.
+        Points outside the domain take the value of the wall cell, those behind periodic faces that of their images. Collective;
+        raises InputError on all ranks for ends that are no points, or one point.
         """
         first, last = points_of(start)[0], points_of(end)[0]
         length = float(np.linalg.norm(last - first))

@@ -12,16 +12,18 @@ from .. import _native
 
 Array = NDArray[np.float64]
 
-# The resultant of what goes round, 0 if it is even, 1 if it is in one place, from which on it has a middle: beyond what this many
-# squares of the noise of so many particles make, within these two.
+# The resultant of what goes round, 0 if it is even and 1 if it is in one place, above which it has a middle: the root of this
+# many variances of the noise of so many particles, but no less and no more than these two.
 NOISE, LEAST, ENOUGH = 20.0, 0.1, 0.5
-LARGEST_FILL = 1 / 6  # circular rms size over the period: half a percent of a normal beam's size, as nearest images have it
+LARGEST_FILL = (
+    1 / 6
+)  # circular rms size over the period: half a percent of a normal beam's size, as nearest images have it
 
 
 def wrapped(points: Array, lower: Array, upper: Array, periodic: Sequence[bool]) -> Array:
     """Return points (n, 3) in m, those beyond periodic faces where their images are in the domain: lower <= x < upper."""
-    corners = (tuple(map(float, corner)) for corner in (lower, upper))
-    return _native.wrapped(np.ascontiguousarray(points, dtype=np.float64), *corners, tuple(map(bool, periodic)))  # type: ignore[arg-type]
+    first, last = (np.asarray(corner, dtype=np.float64).tolist() for corner in (lower, upper))
+    return _native.wrapped(np.ascontiguousarray(points, dtype=np.float64), first, last, [bool(one) for one in periodic])
 
 
 def wrapped_along(axis: int, place: float, lower: Array, upper: Array, periodic: Sequence[bool]) -> float:

@@ -195,7 +195,7 @@ class Spread:
 
 
 def spread_of(fields: Composite, name: str = "rho") -> Spread:
-    """Return where a density is, the middle of the domain if it is zero; of periodic images those nearest to its circular mean."""
+    """Return where a density is, the middle of the domain if it is zero. Images nearest to its circular mean count."""
     middle_of_it, repeats = _middle(fields, name)
     charge, first, second = np.zeros(1), np.zeros(3), np.zeros((3, 3))
     for cells, centres in _charges(fields, name):
@@ -217,34 +217,38 @@ def spread_of(fields: Composite, name: str = "rho") -> Spread:
 
 
 def _charges(fields: Composite, name: str) -> Iterator[tuple[Array, list[Array]]]:
-    """Yield the magnitudes of the charges in the uncovered cells of each box that is here, (nx, ny, nz) C, and the coordinates
-    of their centres along each axis, m."""
+    """Yield charges of uncovered cells of each box that is here, (nx, ny, nz) C without sign, and their centres per axis, m."""
     for level, description in enumerate(fields.levels):
         volume = float(np.prod(description.spacing))
         for box in fields.here(level):
             corners = description.boxes[box]
             cells = np.where(fields.covered(level, box), 0.0, np.abs(fields.values(name, level, box)) * volume)
-            yield cells, [
-                fields.lower[d] + (np.arange(corners[d], corners[3 + d] + 1) + 0.5) * description.spacing[d]
-                for d in range(3)
-            ]
+            yield (
+                cells,
+                [
+                    fields.lower[d] + (np.arange(corners[d], corners[3 + d] + 1) + 0.5) * description.spacing[d]
+                    for d in range(3)
+                ],
+            )
 
 
 def _middle(fields: Composite, name: str) -> tuple[Array, Array]:
-    """Return the middle of the domain, or along periodic axes of the density that has one, and after how far space repeats about
-    it, (3,) each in m; infinity where it is that of the domain."""
+    """Return the middle of the domain, or along periodic axes of a density that has one, and the period about it, (3,) in m.
+
+    The period is infinite where the middle is that of the domain.
+    """
     out, repeats = (fields.lower + fields.upper) / 2, np.full(3, np.inf)
     if not any(fields.periodic):
         return out, repeats
     sums, length = np.zeros(7), fields.upper - fields.lower
     for cells, centres in _charges(fields, name):
         sums[0] += cells.sum()
-        for d in np.flatnonzero(fields.periodic):
+        for d in np.flatnonzero(fields.periodic).tolist():
             angle = 2 * np.pi * (centres[d] - fields.lower[d]) / length[d]
             of_axis = cells.sum(axis=others(d))
             sums[1 + 2 * d : 3 + 2 * d] += of_axis @ np.cos(angle), of_axis @ np.sin(angle)
     total, *sums_of_axes = fields.total(sums).tolist()
-    for d in np.flatnonzero(fields.periodic) if total > 0 else []:
+    for d in np.flatnonzero(fields.periodic).tolist() if total > 0 else []:
         place, _ = middle(sums_of_axes[2 * d] / total, sums_of_axes[2 * d + 1] / total, np.inf)
         if np.isfinite(place):
             out[d], repeats[d] = fields.lower[d] + place * length[d], length[d]

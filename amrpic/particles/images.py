@@ -15,17 +15,19 @@ class Images:
     """The middle of a part of a beam, and how far space repeats about it."""
 
     centre: np.ndarray  # (3,) m, in the domain
-    period: np.ndarray  # (3,) m; 0 along axes on which places stay as they are, as nothing repeats, or the part has no middle
+    period: (
+        np.ndarray
+    )  # (3,) m; 0 along axes on which places stay as they are, as nothing repeats, or the part has no middle
     fill: np.ndarray  # (3,) rms size round each axis over its period, infinite if even; 0 where nothing repeats
 
     @classmethod
     def of(cls, sums: np.ndarray, domain: Domain | None) -> Images:
         """Return those of a part from its `circular_sums` (8,)."""
-        centre, period, fill = np.zeros(3), np.zeros(3), np.zeros(3)
         weight, square, *of_axes = sums.tolist()
         if domain is None or not weight > 0:
-            return cls(centre, period, fill)
-        for axis in np.flatnonzero(domain.periodic):
+            return NO_IMAGES
+        centre, period, fill = np.zeros(3), np.zeros(3), np.zeros(3)
+        for axis in np.flatnonzero(domain.periodic).tolist():
             cosine, sine = of_axes[2 * axis : 2 * axis + 2]
             place, fill[axis] = middle(cosine / weight, sine / weight, weight**2 / square)
             if np.isfinite(place):
@@ -45,6 +47,9 @@ class Images:
         """Return the nearest images of places (n, 3) in m."""
         along = zip(position.T, self.centre, np.where(self.period > 0, self.period, np.inf), strict=True)
         return np.stack([centre + nearest(x - centre, period) for x, centre, period in along], axis=1)
+
+
+NO_IMAGES = Images(np.zeros(3), np.zeros(3), np.zeros(3))  # places as they are
 
 
 def periods(domain: Domain) -> tuple[float, float, float]:

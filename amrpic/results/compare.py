@@ -245,7 +245,9 @@ def _particles(one: Results, other: Results) -> Iterator[Difference]:
     mine, theirs = mine.select(here), theirs.select(there)
     for what in ("position", "momentum"):
         apart = getattr(mine, what) - getattr(theirs, what)
-        if what == "position" and dumped.domain is not None:  # rounding may have taken one of two through a periodic face
+        if (
+            what == "position" and dumped.domain is not None
+        ):  # rounding may have taken one of two through a periodic face
             apart = np.stack([nearest(apart[:, d], dumped.domain.period(d)) for d in range(3)], axis=1)
         spread = _spread(mine, what)
         worst = float(np.abs(apart).max(initial=0.0))

@@ -13,7 +13,6 @@ from ..errors import ParticleError
 from ..mesh.domain import FACES
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.window import Window
-from ..parallel import raise_together
 from ..particles.particles import Particles, cut
 from ..scene.obstacles import aperture_names
 from ..scene.scene import Scene
@@ -125,10 +124,12 @@ def fly(
 
 def _require_followable(comm: MPI.Comm, flights: Flights) -> None:
     """Raise ParticleError on all ranks if a flight has too many periods to be followed past apertures and screens."""
-    most = flights.most_periods
-    message = f"a particle flies through {most:.3g} periods of the domain in a step, past apertures or screens"
-    too_many = most > MOST_PERIODS
-    raise_together(comm, f"{message}; shorten motion.dt" if too_many else None, ParticleError)
+    most = comm.allreduce(flights.most_periods, MPI.MAX)
+    if most > MOST_PERIODS:
+        raise ParticleError(
+            f"a particle flies through {most:.3g} periods of the domain in a step, past apertures or screens, and is followed "
+            f"through at most {MOST_PERIODS}; shorten motion.dt"
+        )
 
 
 def kicked(state: State, plan: Plan) -> State:

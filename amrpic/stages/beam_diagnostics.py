@@ -18,7 +18,7 @@ from .. import _native
 from ..mesh.domain import AXES, Domain
 from ..particles.equivalent_beam import ellipsoid_gradient, line_gradient, tune_depression
 from ..particles.groups import Groups, layers
-from ..particles.images import Images, periods
+from ..particles.images import NO_IMAGES, Images, periods
 from ..particles.particles import Particles
 from ..units import SPEED_OF_LIGHT, Quantity
 
@@ -65,7 +65,7 @@ class Part:
     planes: np.ndarray  # (3, 5, 5): <q^a p^b> with a + b <= 4, along each axis
     lowest: np.ndarray  # (7,)
     highest: np.ndarray  # (7,)
-    images: Images = Images.of(np.zeros(8), None)  # which places are those of, where space repeats
+    images: Images = NO_IMAGES  # which places are those of, where space repeats
 
     @property
     def rms(self) -> np.ndarray:
@@ -152,7 +152,9 @@ def group_moments(
     parts = _native.BeamParts(groups.starts, range(runs), zeros, zeros, 1)
     if domain is None or not any(domain.periodic):
         of_runs = _native.beam_moments(comm.py2f(), *beam.arguments, parts)
-        return {members: _joined([(run, of_runs[run]) for run in sorted(members)], groups) for members in groups.distinct}
+        return {
+            members: _joined([(run, of_runs[run]) for run in sorted(members)], groups) for members in groups.distinct
+        }
     around = np.array(_native.circular_sums(comm.py2f(), *beam.arguments, parts, domain.lower, periods(domain)))
     images = {members: Images.of(around[sorted(members)].sum(axis=0), domain) for members in groups.distinct}
     out = {}
@@ -190,9 +192,7 @@ def _in_domain(part: Part, images: Images, domain: Domain) -> Part:
         return replace(part, images=images)
     about = images.about(part.mean[:3], domain)
     shift = np.concatenate([about.centre - images.centre, np.zeros(4)])
-    return replace(
-        part, mean=part.mean + shift, lowest=part.lowest + shift, highest=part.highest + shift, images=about
-    )
+    return replace(part, mean=part.mean + shift, lowest=part.lowest + shift, highest=part.highest + shift, images=about)
 
 
 def _joined(of_runs: Sequence[tuple[int, _native.BeamMoments]], groups: Groups) -> Part:

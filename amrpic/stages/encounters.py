@@ -74,9 +74,12 @@ class Flights:
 
         Solid that reaches beyond a periodic face along z goes on at the other one, unless the domain moves.
         """
-        solids = [(number, aperture) for number, aperture in enumerate(apertures) for aperture in self._images(aperture)]
-        which, met = np.array([number for number, _ in solids], dtype=np.int64), self._meet(
-            lambda *ways: _native.first_encounters([aperture for _, aperture in solids], *ways)
+        solids = [
+            (number, aperture) for number, aperture in enumerate(apertures) for aperture in self._images(aperture)
+        ]
+        which, met = (
+            np.array([number for number, _ in solids], dtype=np.int64),
+            self._meet(lambda *ways: _native.first_encounters([aperture for _, aperture in solids], *ways)),
         )
         met.what[:] = which[met.what]
         met = met.select(
@@ -165,7 +168,7 @@ class Flights:
     def most_periods(self) -> float:
         """How many periods of the domain this rank's longest flight has along an axis that is periodic."""
         out = 0.0
-        for axis in np.flatnonzero(self.domain.periodic):
+        for axis in np.flatnonzero(self.domain.periodic).tolist():
             way = np.abs(self.end[:, axis] - self.start[:, axis])
             out = max(out, float(way.max(initial=0.0, where=np.isfinite(way))) / self.domain.period(axis))
         return out
@@ -173,7 +176,10 @@ class Flights:
     def _meet(self, find: Find) -> Encounters:
         """Return what `find` finds on the flights, each part of them between periodic faces where it lies in the domain."""
         parts, flights = [], self
-        number, passed = np.arange(len(self.start)), np.zeros(len(self.start))  # of the flights, and share until their parts
+        number, passed = (
+            np.arange(len(self.start)),
+            np.zeros(len(self.start)),
+        )  # of the flights, and share until their parts
         while True:
             ways = flights._ways()
             flight, what, share = find(*ways)
@@ -205,7 +211,9 @@ class Flights:
         axis = np.argmin(shares, axis=1)
         share = np.clip(shares[rows, axis], 0.0, 1.0)
         place = start + share[:, None] * (end - start)
-        below = np.nextafter(lower, -np.inf)  # so that planes on the lower face are crossed upwards, as those on the upper one are
+        below = np.nextafter(
+            lower, -np.inf
+        )  # so that planes on the lower face are crossed upwards, as those on the upper one are
         place[rows, axis] = np.where(up, below, upper)[rows, axis]
         end[rows, axis] -= (np.where(up, 1.0, -1.0) * (upper - lower))[rows, axis]
         return cut, share, Flights(place, end, self.domain, self.before, self.after, self._origin(cut, share))

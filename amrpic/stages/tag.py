@@ -185,8 +185,8 @@ def within(
 ) -> Tags:
     """Return the cells that reach between two distances from a centre (3,) m, in units of a size (3,) m along each axis.
 
-    Distances are measured along `axes` alone, on periodic ones to the nearest image of the centre. Without a centre, nan, there is no such cell. Where a size is zero, only what
-    lies at the centre is near.
+    Distances are measured along `axes` alone, on periodic ones to the nearest image of the centre. Without a centre, nan, there
+    is no such cell. Where a size is zero, only what lies at the centre is near.
     """
     tags, period = Field(hierarchy), hierarchy.domain.period
     for patch in tags.patches:

@@ -274,7 +274,9 @@ void bind_particle(nb::module_& m) {
       .def_ro("hole", &Aperture::hole)
       .def_ro("centre", &Aperture::centre)
       .def_ro("half_width", &Aperture::half_width)
-      .def_prop_ro("z", [](Aperture const& of) { return std::array<Real, 2>{of.z.lower, of.z.upper}; });
+      .def_prop_ro("z", [](Aperture const& of) {
+        return std::array<Real, 2>{of.z.lower, of.z.upper};
+      });
   m.def(
       "first_encounters",
       [](std::vector<Aperture> const& apertures, ConstColumns start, ConstColumns end, Real3 start_offset,
@@ -414,8 +416,8 @@ void bind_particle(nb::module_& m) {
             std::vector<NearestImages> images;
             for (std::size_t group = 0; group < centres.size(); ++group)
               images.push_back({centres[group], periods.at(group)});
-            new (self) BeamParts{std::move(starts),     std::move(groups), std::move(lower),
-                                 std::move(per_length), slices,            std::move(images)};
+            new (self) BeamParts{std::move(starts), std::move(groups), std::move(lower), std::move(per_length), slices,
+                                 std::move(images)};
           },
           "starts"_a, "groups"_a, "lower"_a, "per_length"_a, "slices"_a = 1, "centres"_a = std::vector<Real3>{},
           "periods"_a = std::vector<Real3>{},

@@ -110,8 +110,7 @@ void for_each_of_parts(BeamView const& beam, BeamParts const& parts, Whole&& who
       for (int i = 0; i < present; ++i) part[std::size_t(i)] = parts.group_of(beam.particles.id[first + i]);
     if (!parts.images.empty()) move_to_images(values, parts, part);
     if (parts.slices > 1)
-      for (int i = 0; i < present; ++i)
-        part[std::size_t(i)] = parts.part_of(part[std::size_t(i)], values.x[2][i]);
+      for (int i = 0; i < present; ++i) part[std::size_t(i)] = parts.part_of(part[std::size_t(i)], values.x[2][i]);
     bool together = group.whole();
     for (int i = 1; i < present; ++i) together = together && part[std::size_t(i)] == part[0];
     if (together) {

@@ -45,12 +45,13 @@ Lanes sine_of_turns(Lanes const& turns) {
 std::vector<std::array<Real, 8>> circular_sums(Communicator const& comm, BeamView const& beam, BeamParts const& parts,
                                                Real3 const& lower, Real3 const& period) {
   std::vector<std::array<Real, 8>> out(parts.count());
+  Real const quarter_turn = Real(1) / 4;
   auto const of_eight = [&](BeamLanes const& of) {
     std::array<Lanes, 8> values{of.weight, of.weight * of.weight};
     for (std::size_t d = 0; d < 3; ++d) {
       if (period[d] == 0) continue;
       Lanes const turns = (of.x[d] - lower[d]) * (1 / period[d]);
-      values[2 + 2 * d] = of.weight * sine_of_turns(turns + Real(0.25));
+      values[2 + 2 * d] = of.weight * sine_of_turns(turns + quarter_turn);
       values[3 + 2 * d] = of.weight * sine_of_turns(turns);
     }
     return values;

@@ -66,6 +66,13 @@ class HierarchyError(Exception):
 class SolverError(Exception):
     pass
 
+def wrapped(
+    points: NDArray[numpy.float64], lower: Sequence[float], upper: Sequence[float], periodic: Sequence[bool]
+) -> NDArray[numpy.float64]:
+    """
+    Points (n, 3), those beyond periodic faces where their images are in the domain.
+    """
+
 class Hierarchy:
     def __init__(
         self,
@@ -986,6 +993,14 @@ class Aperture:
     def __init__(
         self, hole: Hole, centre: Sequence[float], half_width: Sequence[float], z: Sequence[float]
     ) -> None: ...
+    @property
+    def hole(self) -> Hole: ...
+    @property
+    def centre(self) -> list[float]: ...
+    @property
+    def half_width(self) -> list[float]: ...
+    @property
+    def z(self) -> list[float]: ...
 
 def first_encounters(
     apertures: Sequence[Aperture],
@@ -1126,6 +1141,8 @@ def beam_sums(
     mass: NDArray[numpy.float64],
     later: NDArray[numpy.float64],
     share: float,
+    centre: Sequence[float],
+    period: Sequence[float],
 ) -> BeamSums: ...
 
 class BeamParts:
@@ -1136,7 +1153,26 @@ class BeamParts:
         lower: Sequence[float],
         per_length: Sequence[float],
         slices: int = 1,
-    ) -> None: ...
+        centres: Sequence[Sequence[float]] = [],
+        periods: Sequence[Sequence[float]] = [],
+    ) -> None:
+        """
+        Images nearest to the centres (groups, 3) stand for particles where periods (groups, 3) are not 0; m.
+        """
+
+def circular_sums(
+    comm: int | Sequence[int],
+    position: NDArray[numpy.float64],
+    momentum: NDArray[numpy.float64],
+    weight: NDArray[numpy.float64],
+    id: NDArray[numpy.int64],
+    mass: NDArray[numpy.float64],
+    later: NDArray[numpy.float64],
+    share: float,
+    parts: BeamParts,
+    lower: Sequence[float],
+    period: Sequence[float],
+) -> list[list[float]]: ...
 
 class BeamMoments:
     @property

@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 import numpy as np
 from measuring import Record, in_turns, reset_peak, resident, watched, work_unit, write
 from mpi4py import MPI
+from plain_particles import PlainStages
 
 import amrpic
 from amrpic.mesh.field import VectorField
@@ -40,14 +41,40 @@ STAGES = ("deposit", "field", "gather", "gather+push", OWN_B, SOLENOID, "migrate
 def measure(particles: int, cells: int, box: int, shape: Shape = "cloud-in-cell", repeats: int = 5) -> dict[str, float]:
     """Return the time of each particle stage in ns per particle, the median of `repeats`; see `timings`."""
     found = timings(particles, cells, box, shape, repeats)
-    return {stage: 1e9 * median(seconds) / particles for stage, seconds in found.items()}
+    return {stage: 1e9 * median(found[stage]) / particles for stage in STAGES}
 
 
 def timings(
     particles: int, cells: int, box: int, shape: Shape = "cloud-in-cell", repeats: int = 5
 ) -> dict[str, list[float]]:
-    """Return the seconds of each of `stages` in each repeat, on this rank alone."""
-    return {name: _seconds(stage, repeats) for name, stage in stages(particles, cells, box, shape).items()}
+    """Return the seconds of each of `stages` in each repeat, on this rank alone.
+
+    Of clouds in cells also those of plain loops, `plain_name` of a stage, which take turns with it in CPU time.
+    """
+    ours, out = stages(particles, cells, box, shape), {}
+    plain = plain_stages(particles, cells, box).works if shape == "cloud-in-cell" else {}
+    for name, stage in ours.items():
+        if name in plain:
+            works = (stage, plain[name])
+            for work in works:
+                work()  # makes the tables that a hierarchy needs once
+            out[name], out[plain_name(name)] = in_turns(works, repeats)
+        else:
+            out[name] = _seconds(stage, repeats)
+    return out
+
+
+def plain_stages(particles: int, cells: int, box: int) -> PlainStages:
+    """Return the plain loops over particles like those of `stages`, in the same order."""
+    rng = np.random.default_rng(1)
+    domain = amrpic.Domain((0, 0, 0), (1, 1, 1), (cells, cells, cells), "periodic")
+    homes = _sorted_particles(rng, particles, amrpic.Hierarchy(MPI.COMM_SELF, domain, max_grid_size=box))
+    step = rng.normal(size=(particles, 3))
+    step *= MOVE / cells / np.linalg.norm(step, axis=1)[:, None]
+    (kind,) = homes.species.kinds
+    return PlainStages(
+        cells, homes.position, homes.momentum, homes.position + step, homes.weight, kind.charge, kind.mass, DT
+    )
 
 
 def by_kokkos(particles: int, cells: int, box: int, repeats: int) -> Iterator[Record]:
@@ -191,6 +218,10 @@ def main() -> None:
             ]
     if options.output:
         write(options.output, records)
+
+
+def plain_name(stage: str) -> str:
+    return f"plain {stage}"
 
 
 def kernels_name(stage: str, particles: int, kernels: str) -> str:

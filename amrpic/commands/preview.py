@@ -197,7 +197,9 @@ def _bunches(comm: MPI.Comm, scene: Scene, made: Sequence[Particles], hierarchy:
     rest = iter(made)
     for number, bunch in enumerate(scene.bunches):
         copies = list(itertools.islice(rest, bunch.copies))
-        size = np.sqrt(np.mean([moments(comm, copy).rms ** 2 for copy in copies], axis=0))  # nan of an empty bunch
+        size = np.sqrt(
+            np.mean([moments(comm, copy, domain=hierarchy.domain).rms ** 2 for copy in copies], axis=0)
+        )  # nan of an empty bunch
         known = bool(np.isfinite(size).all())
         rows.append(
             [

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from mpi4py import MPI
 
-from ..mesh.domain import AXES
+from ..mesh.domain import AXES, Domain
 from ..mesh.field import Field
 from ..mesh.hierarchy import Hierarchy
 from ..particles.particles import Particles
@@ -29,13 +29,13 @@ class _Extent:
 
     mean: np.ndarray
     rms: np.ndarray
-    first: np.ndarray  # particle along each axis
+    first: np.ndarray  # particle along each axis that has walls
     last: np.ndarray
 
     @classmethod
-    def of(cls, comm: MPI.Comm, bunch: Particles) -> _Extent:
+    def of(cls, comm: MPI.Comm, bunch: Particles, domain: Domain) -> _Extent:
         """Return that of a bunch, nan without particles. Collective."""
-        found = moments(comm, bunch)
+        found = moments(comm, bunch, domain=domain)
         ends = np.array([-bunch.position.min(axis=0, initial=np.inf), bunch.position.max(axis=0, initial=-np.inf)])
         first, last = comm.allreduce(ends, MPI.MAX)
         return cls(found.mean, found.rms, -first, last)
@@ -50,7 +50,7 @@ def warnings_of(scene: Scene, particles_per_cell: Field, bunches: Sequence[Parti
     out: list[str] = []
     rest = iter(bunches)
     for number, bunch in enumerate(scene.bunches):
-        copies = [_Extent.of(comm, copy) for copy in itertools.islice(rest, bunch.copies)]
+        copies = [_Extent.of(comm, copy, hierarchy.domain) for copy in itertools.islice(rest, bunch.copies)]
         known = [one for one in copies if np.isfinite(one.rms).all() and one.rms.min() > 0]
         if known:
             out += _of_bunch(f"bunches.{number}", known, hierarchy)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError, ParticleError
-from ..mesh.domain import AXES
+from ..mesh.domain import AXES, Domain
 from ..particles.particles import Particles
 from ..particles.species import SPECIES, Species, SpeciesTable
 from .openpmd_files import base, chosen, dimension_text, opened, text
@@ -108,6 +109,17 @@ def when(file: str | Path, iteration: int | None = None, group: str | None = Non
         if time is not None and not np.isfinite(time):
             raise InputError(f"particle file {path} is of the time {time} s; write it anew with a finite one")
         return step, time
+
+
+def domain_of(file: str | Path) -> Domain | None:
+    """Return the domain of the run that wrote a file; None of another program's file, or if it moves. Raises InputError."""
+    with _opened(Path(file)) as h5:
+        ours = h5.get("amrpic/scene")
+        scene = json.loads(ours.asstr()[()]) if isinstance(ours, h5py.Dataset) else {}
+    domain = scene.get("domain")
+    if not domain or scene.get("motion", {}).get("window", "none") != "none":
+        return None
+    return Domain(domain["lower"], domain["upper"], domain["cells"], domain["boundary"])
 
 
 def _opened(path: Path) -> contextlib.AbstractContextManager[h5py.File]:

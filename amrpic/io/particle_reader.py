@@ -9,6 +9,7 @@ import h5py
 import numpy as np
 
 from ..errors import InputError
+from ..mesh.domain import Domain
 from ..mesh.window import window_of
 from ..particles.groups import Groups, NamedBunches
 from ..particles.particles import Particles, concatenate
@@ -29,6 +30,7 @@ class ParticleDump:
     time: float  # s
     particles: Particles
     groups: Groups
+    domain: Domain | None  # in which they are, where that is known
 
 
 def read(path: Path) -> ParticleDump:
@@ -67,7 +69,7 @@ def _of_checkpoint(path: Path) -> ParticleDump:
     bunches = [NamedBunches(bunch.name, bunch.copies, bunch.number) for bunch in scene.bunches]
     window = window_of(header.extra.get("course", {}).get("window", {}))
     particles = Particles(position, momentum, weight, ids, table).in_laboratory(window)
-    return ParticleDump(path, header.step, header.time, particles, Groups.of(table, bunches))
+    return ParticleDump(path, header.step, header.time, particles, Groups.of(table, bunches), window.shown(scene.domain.value))
 
 
 def _of_openpmd(path: Path) -> ParticleDump:
@@ -80,4 +82,4 @@ def _of_openpmd(path: Path) -> ParticleDump:
     table = SpeciesTable.of_runs((int(end), part.species.kinds[0]) for end, part in zip(ends[:-1], parts, strict=True))
     particles = concatenate([Particles(*part.arrays, table) for part in parts])
     step, time = openpmd_reader.when(path)
-    return ParticleDump(path, step, time or 0.0, particles, Groups.of_species(table))
+    return ParticleDump(path, step, time or 0.0, particles, Groups.of_species(table), openpmd_reader.domain_of(path))

@@ -271,7 +271,8 @@ class Field(FieldViews):
     def sample(self, points: ArrayLike, order: int = 1, what: str = "value", kappa: float | None = None) -> np.ndarray:
         """Values at points (n, 3) in m, (n,) on every rank; what="gradient": (n, 3), per m. Collective.
 
-        All ranks pass the same points. Those outside the domain give nan.
+        All ranks pass the same points. Those beyond periodic faces have the values of their images, others outside the domain
+        give nan.
 
         At order 1 values are trilinear in the finest cells there. Beside a coarse-fine face the cells that the finer level
         lacks take the coarser one's value; beyond a wall that of the wall cell is held.

@@ -18,6 +18,7 @@ from .composite import LiveFields
 from .domain import AXES
 from .hierarchy import Hierarchy
 from .patch import Patch
+from .periods import wrapped_along
 from .raster import Line, Raster, line_values, slice_through
 
 if TYPE_CHECKING:
@@ -69,11 +70,12 @@ class FieldViews(ABC):
 
         Pixels are those of the finest level, at most 1600 along a side; each shows the finest cell at its centre, or that of
         one `level`, nan where that has no cells. A plane between two cells shows the upper ones. Collective; raises InputError
-        on all ranks for a place outside the domain.
+        on all ranks for a place outside the domain, except along periodic axes, where its image is shown.
         """
         normal, domain = axis_number(axis), self.hierarchy.domain
         lower, upper = domain.lower[normal], domain.upper[normal]
         place = (lower + upper) / 2 if place is None else place
+        place = wrapped_along(normal, place, domain.lower, domain.upper, domain.periodic)  # type: ignore[arg-type]
         if not lower <= place <= upper:
             raise InputError(
                 f"the plane at {AXES[normal]} = {place:g} m lies outside the domain, which reaches from {lower:g} to "
@@ -85,8 +87,8 @@ class FieldViews(ABC):
     def line(self, start: ArrayLike, end: ArrayLike, count: int | None = None) -> Profile:
         """Return the values on the straight line between two points (x, y, z) in m, by default two for each finest cell width.
 
-        Points outside the domain take the value of the wall cell. Collective; raises InputError on all ranks for ends that are
-        no points, or one point.
+        Points outside the domain take the value of the wall cell, those behind periodic faces that of their images. Collective;
+        raises InputError on all ranks for ends that are no points, or one point.
         """
         first, last = points_of(start)[0], points_of(end)[0]
         length = float(np.linalg.norm(last - first))

@@ -6,7 +6,7 @@ draw the boxes that each of them holds, and their sum is the picture: all here i
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from .boxes import rows_of
 from .composite import Composite
+from .periods import middle, nearest, wrapped
 
 Array = NDArray[Any]
 
@@ -163,7 +164,7 @@ class Line:
 
 def line_values(fields: Composite, name: str, line: Line, level: int | None = None) -> Array:
     """Return a field along a line, in the finest cells or those of one level: (n,), or (n, 3) of a vector; else nan."""
-    points = line.points
+    points = wrapped(line.points, fields.lower, fields.upper, fields.periodic)
     held = np.zeros(len(points), dtype=bool)
     out = np.zeros((len(points), 3) if fields.is_vector(name) else len(points))
     for number in range(len(fields.levels)) if level is None else [level]:
@@ -194,31 +195,64 @@ class Spread:
 
 
 def spread_of(fields: Composite, name: str = "rho") -> Spread:
-    """Return where a density is, the middle of the domain if it is zero."""
+    """Return where a density is, the middle of the domain if it is zero. Images nearest to its circular mean count."""
+    middle_of_it, repeats = _middle(fields, name)
     charge, first, second = np.zeros(1), np.zeros(3), np.zeros((3, 3))
-    middle = (fields.lower + fields.upper) / 2
+    for cells, centres in _charges(fields, name):
+        axes = [nearest(centres[d] - middle_of_it[d], repeats[d]) for d in range(3)]
+        charge += cells.sum()
+        sums = [cells.sum(axis=others(d)) for d in range(3)]
+        first += [sums[d] @ axes[d] for d in range(3)]
+        second += np.diag([sums[d] @ axes[d] ** 2 for d in range(3)])
+        for a, b in ((0, 1), (0, 2), (1, 2)):
+            mixed = axes[a] @ cells.sum(axis=3 - a - b) @ axes[b]
+            second[a, b] += mixed
+            second[b, a] += mixed
+    total, *moments = fields.total(np.concatenate([charge, first, second.ravel()]))
+    if total == 0.0:
+        return Spread(0.0, middle_of_it, np.zeros((3, 3)))
+    mean, square = np.array(moments[:3]) / total, np.reshape(moments[3:], (3, 3)) / total
+    (centre,) = wrapped((middle_of_it + mean)[None], fields.lower, fields.upper, fields.periodic)
+    return Spread(float(total), centre, square - np.outer(mean, mean))
+
+
+def _charges(fields: Composite, name: str) -> Iterator[tuple[Array, list[Array]]]:
+    """Yield charges of uncovered cells of each box that is here, (nx, ny, nz) C without sign, and their centres per axis, m."""
     for level, description in enumerate(fields.levels):
         volume = float(np.prod(description.spacing))
         for box in fields.here(level):
             corners = description.boxes[box]
             cells = np.where(fields.covered(level, box), 0.0, np.abs(fields.values(name, level, box)) * volume)
-            axes = [
-                fields.lower[d] + (np.arange(corners[d], corners[3 + d] + 1) + 0.5) * description.spacing[d] - middle[d]
-                for d in range(3)
-            ]
-            charge += cells.sum()
-            sums = [cells.sum(axis=others(d)) for d in range(3)]
-            first += [sums[d] @ axes[d] for d in range(3)]
-            second += np.diag([sums[d] @ axes[d] ** 2 for d in range(3)])
-            for a, b in ((0, 1), (0, 2), (1, 2)):
-                mixed = axes[a] @ cells.sum(axis=3 - a - b) @ axes[b]
-                second[a, b] += mixed
-                second[b, a] += mixed
-    total, *moments = fields.total(np.concatenate([charge, first, second.ravel()]))
-    if total == 0.0:
-        return Spread(0.0, middle, np.zeros((3, 3)))
-    mean, square = np.array(moments[:3]) / total, np.reshape(moments[3:], (3, 3)) / total
-    return Spread(float(total), middle + mean, square - np.outer(mean, mean))
+            yield (
+                cells,
+                [
+                    fields.lower[d] + (np.arange(corners[d], corners[3 + d] + 1) + 0.5) * description.spacing[d]
+                    for d in range(3)
+                ],
+            )
+
+
+def _middle(fields: Composite, name: str) -> tuple[Array, Array]:
+    """Return the middle of the domain, or along periodic axes of a density that has one, and the period about it, (3,) in m.
+
+    The period is infinite where the middle is that of the domain.
+    """
+    out, repeats = (fields.lower + fields.upper) / 2, np.full(3, np.inf)
+    if not any(fields.periodic):
+        return out, repeats
+    sums, length = np.zeros(7), fields.upper - fields.lower
+    for cells, centres in _charges(fields, name):
+        sums[0] += cells.sum()
+        for d in np.flatnonzero(fields.periodic).tolist():
+            angle = 2 * np.pi * (centres[d] - fields.lower[d]) / length[d]
+            of_axis = cells.sum(axis=others(d))
+            sums[1 + 2 * d : 3 + 2 * d] += of_axis @ np.cos(angle), of_axis @ np.sin(angle)
+    total, *sums_of_axes = fields.total(sums).tolist()
+    for d in np.flatnonzero(fields.periodic).tolist() if total > 0 else []:
+        place, _ = middle(sums_of_axes[2 * d] / total, sums_of_axes[2 * d + 1] / total, np.inf)
+        if np.isfinite(place):
+            out[d], repeats[d] = fields.lower[d] + place * length[d], length[d]
+    return out, repeats
 
 
 LONG = 3.0  # variance along a train over that across it, from which on its own direction is taken

@@ -19,6 +19,7 @@ from ..parallel import share
 from .boxes import cells_of, each_cell, rows_of
 from .composite import Composite
 from .orders import require_order
+from .periods import wrapped
 
 Array = NDArray[Any]
 
@@ -53,8 +54,9 @@ class Request:
 def fitted_values(fields: Composite, name: str, points: Array, request: Request) -> Array:
     """Return a field at points (n, 3) in m, the same on all ranks: (n, *components), of gradients (n, *components, 3).
 
-    nan outside the domain and, with a level, where that has no cells. Collective over `fields.comm`; all ranks pass the same
-    points. InputError where too few cells lie around a point for the order.
+    Points beyond periodic faces have the values of their images. nan outside the domain and, with a level, where that has no
+    cells. Collective over `fields.comm`; all ranks pass the same points. InputError where too few cells lie around a point for
+    the order.
     """
     shape = ((3,) if fields.is_vector(name) else ()) + ((3,) if request.what == "gradient" else ())
     out = np.full((len(points), *shape), np.nan)
@@ -86,7 +88,7 @@ class _Sampler:
     def __init__(self, fields: Composite, name: str, request: Request, points: Array) -> None:
         self.fields, self.name, self.request = fields, name, request
         self.levels = range(len(fields.levels)) if request.level is None else [request.level]
-        self.points = _wrapped(fields, points)
+        self.points = wrapped(points, fields.lower, fields.upper, fields.periodic)
         self.home = self._homes()
 
     def values(self, shape: tuple[int, ...]) -> Array:
@@ -226,11 +228,3 @@ class _Sampler:
             wanted=[gmls.VALUE, *([gmls.GRADIENT] if request.what == "gradient" else [])],
             failed="mark",
         )
-
-
-def _wrapped(fields: Composite, points: Array) -> Array:
-    """Return points outside of periodic faces where they are inside."""
-    length = fields.upper - fields.lower
-    outside = ((points < fields.lower) | (points > fields.upper)) & np.array(fields.periodic) & np.isfinite(points)
-    with np.errstate(invalid="ignore"):
-        return np.where(outside, fields.lower + (points - fields.lower) % length, points)

@@ -28,6 +28,7 @@ from ..stages.beam_diagnostics import (
     slice_values,
 )
 from ..units import Quantity
+from .fills import Fills
 from .state import State
 
 BEAM = "beam.csv"
@@ -60,13 +61,14 @@ class BeamTables:
         about: Provenance,
         keep_to_step: int | None,
         own: Mapping[str, Diagnostic],
+        fills: Fills,
     ) -> None:
         self._comm, self._about, self._keep = comm, about, keep_to_step
         self._every, self._slices = scene.diagnostics.every, scene.diagnostics.slices
         self._directory = scene.directory
         self._period = scene.domain.value.period(2)
         self._groups = groups_of(state, scene)
-        self._own = own
+        self._own, self._fills = own, fills
         self._series: dict[str, Series] = {}
         self._last = keep_to_step if keep_to_step is not None and self._is_due(keep_to_step) else None
         if self._every and scene.bunches:
@@ -104,16 +106,17 @@ class BeamTables:
 
     def _record_beam(self, state: State) -> None:
         comm, groups, beam = self._comm, self._groups, state.beam
-        moments = group_moments(comm, beam, groups)
+        moments = group_moments(comm, beam, groups, state.hierarchy.domain)
         if not any(part.weight > 0 for part in moments.values()):  # test particles alone, of which each counts as one
             ones = beam.particles.with_weight(np.broadcast_to(1.0, len(beam.particles)))
             groups = replace(groups, species=tuple(replace(one, charge=0.0) for one in groups.species))
             beam = replace(beam, particles=ones)
-            moments = group_moments(comm, beam, groups)
+            moments = group_moments(comm, beam, groups, state.hierarchy.domain)
         quantiles = group_quantiles(comm, beam, groups, moments)
         lost = group_losses(comm, state.lost.particles, groups)
         at: dict[str, float | str] = {"step": state.step, "time": state.time, "s": state.course.path}
         named = list(zip(groups.names, groups.members, strict=True))
+        self._fills.check({name: moments[members].images.fill for name, members in named})
         self._series[BEAM].add(
             *(
                 {

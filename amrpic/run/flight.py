@@ -9,6 +9,7 @@ import numpy as np
 from mpi4py import MPI
 
 from .. import _native
+from ..errors import ParticleError
 from ..mesh.domain import FACES
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.window import Window
@@ -16,7 +17,7 @@ from ..particles.particles import Particles, cut
 from ..scene.obstacles import aperture_names
 from ..scene.scene import Scene
 from ..stages.deposit import Deposition
-from ..stages.encounters import Encounters, Flights
+from ..stages.encounters import MOST_PERIODS, Encounters, Flights
 from ..stages.migrate import arranged, migrate_without, share_out, weights
 from .leapfrog import kick
 from .plan import Plan
@@ -88,6 +89,8 @@ def fly(
     """
     scene, hierarchy = plan.scene, state.hierarchy
     flights = Flights(state.particles.position, moved.position, hierarchy.domain, state.window, window)
+    if (scene.apertures or scene.screens) and any(hierarchy.domain.periodic):
+        _require_followable(plan.comm, flights)
     stopped = flights.losses(plan.apertures) if scene.apertures else NOTHING
     servers = state.particles.sorted_on(hierarchy).servers
     begun: list[Deposition] = []
@@ -119,6 +122,16 @@ def fly(
 
     lost_until_now = state.lost.joined(recorded(lost, causes(scene)))
     return particles, deposition, lost_until_now, state.screens.joined(recorded(passed, screens))
+
+
+def _require_followable(comm: MPI.Comm, flights: Flights) -> None:
+    """Raise ParticleError on all ranks if a flight has too many periods to be followed past apertures and screens."""
+    most = comm.allreduce(flights.most_periods, MPI.MAX)
+    if most > MOST_PERIODS:
+        raise ParticleError(
+            f"a particle flies through {most:.3g} periods of the domain in a step, past apertures or screens, and is followed "
+            f"through at most {MOST_PERIODS}; shorten motion.dt"
+        )
 
 
 def kicked(state: State, plan: Plan) -> State:

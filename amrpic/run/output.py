@@ -24,6 +24,7 @@ from ..units import Quantity, quantity
 from ..view.draw import drawn
 from ..view.views import OVERVIEW
 from .beam_tables import BeamTables, Diagnostic
+from .fills import Fills
 from .flight import kicked
 from .folder import set_aside
 from .log import Log, RunLog
@@ -77,7 +78,9 @@ class Recorder:
         keep = state.step if resumed else None
         self._series = self._open(SERIES, quantities(self._levels), keep)
         self._residuals = self._open(RESIDUALS, HISTORY, keep)
-        self._beam = BeamTables(comm, state, scene, self._about, keep, own or {}) if "series" in self._wanted else None
+        self._fills = Fills(plan.remark)
+        wanted = "series" in self._wanted
+        self._beam = BeamTables(comm, state, scene, self._about, keep, own or {}, self._fills) if wanted else None
         self._status = Status(comm, scene, state.step)
 
     def _open(self, name: str, columns: Sequence[Quantity], keep_to_step: int | None) -> Series | None:
@@ -121,7 +124,7 @@ class Recorder:
                 self._log.warn(
                     "all particles have left the domain or met apertures; enlarge them, or shorten the run or its steps"
                 )
-            for remark in [*remarks, *self._astray(state)]:
+            for remark in [*remarks, *self._plan.remarks, *self._astray(state)]:
                 if remark not in self._warned:
                     self._warned.add(remark)
                     self._log.warn(remark)
@@ -205,6 +208,7 @@ class Recorder:
         now = time.perf_counter()
         seconds, self._since = now - self._since, now
         beam = state.moments()
+        self._fills.check({"all": beam.fill})
         measured = measure(
             state.particles, beam, state.lost.particles, state.rho, state.phi, state.efield, state.seconds
         )

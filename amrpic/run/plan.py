@@ -266,7 +266,8 @@ class Plan:
         largest = self.comm.allreduce(bunch.weight.max(initial=0.0), MPI.MAX) or 1.0
         weight = bunch.weight / largest  # so that no square underflows
         total, square = self.comm.allreduce(np.array([weight.sum(), weight @ weight]))
-        return bool(total > 0) and law(total**2 / square, moments(self.comm, bunch).rms / widths)
+        size = moments(self.comm, bunch, domain=self.scene.domain.value).rms
+        return bool(total > 0) and law(total**2 / square, size / widths)
 
     def note(self, sentence: str) -> None:
         """Note for the log what the run chose by itself, once."""

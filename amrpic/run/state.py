@@ -93,5 +93,5 @@ class State:
 
     def moments(self) -> Moments:
         """Return the moments of the particles at the time of the state. Collective."""
-        beam = self.beam
-        return moments(self.hierarchy.comm, beam.particles, beam.later, beam.weight)
+        beam, hierarchy = self.beam, self.hierarchy
+        return moments(hierarchy.comm, beam.particles, beam.later, beam.weight, hierarchy.domain)

@@ -54,7 +54,7 @@ def _tags(rule: RuleKind, fields: ParticleFields, part: float) -> Tags:
         case MomentumRule():
             return _by_momentum(rule, fields, part)
         case RadiusRule():
-            beam = moments(fields.hierarchy.comm, fields.particles)
+            beam = moments(fields.hierarchy.comm, fields.particles, domain=fields.hierarchy.domain)
             at_least, at_most = part * (rule.at_least or 0.0), _over(rule.at_most, part)
             axes = [AXES.index(axis) for axis in rule.axes]
             return tag.within(fields.hierarchy, beam.mean, beam.rms, axes, at_least, at_most)

@@ -106,7 +106,8 @@ def _places(scene: SceneParts) -> None:
     for number, bunch in enumerate(scene.bunches):
         for place in bunch.places():
             for axis in range(3):
-                if not scene.domain.lower[axis] <= place[axis] <= scene.domain.upper[axis]:
+                inside = scene.domain.lower[axis] <= place[axis] <= scene.domain.upper[axis]
+                if not (inside or scene.domain.value.periodic[axis]):
                     raise complaint(
                         f"puts a bunch outside the domain, at {AXES[axis]} = {place[axis]:g} m where it reaches "
                         f"from {scene.domain.lower[axis]:g} to {scene.domain.upper[axis]:g} m",

@@ -123,6 +123,7 @@ class RadiusRule(Bounds):
     """Refine the cells that reach between two distances from the centre of all particles, in units of their rms size.
 
     The distance is that of ((x - ⟨x⟩)/σ_x, (y - ⟨y⟩)/σ_y, …): the bounds are ellipses that breathe with the beam.
+    Along periodic axes nearest images count.
     """
 
     kind: Literal["radius"] = "radius"

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,9 +15,10 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from .. import _native
-from ..mesh.domain import AXES
+from ..mesh.domain import AXES, Domain
 from ..particles.equivalent_beam import ellipsoid_gradient, line_gradient, tune_depression
 from ..particles.groups import Groups, layers
+from ..particles.images import NO_IMAGES, Images, periods
 from ..particles.particles import Particles
 from ..units import SPEED_OF_LIGHT, Quantity
 
@@ -64,6 +65,7 @@ class Part:
     planes: np.ndarray  # (3, 5, 5): <q^a p^b> with a + b <= 4, along each axis
     lowest: np.ndarray  # (7,)
     highest: np.ndarray  # (7,)
+    images: Images = NO_IMAGES  # which places are those of, where space repeats
 
     @property
     def rms(self) -> np.ndarray:
@@ -137,13 +139,60 @@ def _ratio(a: float, b: float) -> float:
 # ---- moments ----
 
 
-def group_moments(comm: MPI.Comm, beam: Beam, groups: Groups) -> dict[frozenset[int], Part]:
-    """Return the moments of each distinct group; the particles are read once. Collective."""
+def group_moments(
+    comm: MPI.Comm, beam: Beam, groups: Groups, domain: Domain | None = None
+) -> dict[frozenset[int], Part]:
+    """Return the moments of each distinct group. Collective.
+
+    The particles are read once. Where the domain is periodic, the images of a group's particles count that are nearest to its
+    circular mean, see `Images`, and particles are read once more, and then once for each of the layers of groups.
+    """
     runs = len(groups.starts)
     zeros = [0.0] * runs
     parts = _native.BeamParts(groups.starts, range(runs), zeros, zeros, 1)
-    of_runs = _native.beam_moments(comm.py2f(), *beam.arguments, parts)
-    return {members: _joined([(run, of_runs[run]) for run in sorted(members)], groups) for members in groups.distinct}
+    if domain is None or not any(domain.periodic):
+        of_runs = _native.beam_moments(comm.py2f(), *beam.arguments, parts)
+        return {
+            members: _joined([(run, of_runs[run]) for run in sorted(members)], groups) for members in groups.distinct
+        }
+    around = np.array(_native.circular_sums(comm.py2f(), *beam.arguments, parts, domain.lower, periods(domain)))
+    images = {members: Images.of(around[sorted(members)].sum(axis=0), domain) for members in groups.distinct}
+    out = {}
+    for layer in layers(groups.distinct):
+        pieces, piece_of_run = _pieces(layer, groups)
+        zeros = [0.0] * len(pieces)
+        of_pieces = [images[layer[place]] for place, _ in pieces]
+        parts = _native.BeamParts(groups.starts, piece_of_run, zeros, zeros, 1, *_centres_and_periods(of_pieces))
+        found = _native.beam_moments(comm.py2f(), *beam.arguments, parts)
+        for place, members in enumerate(layer):
+            own = [(run, found[index]) for index, (at, run) in enumerate(pieces) if at == place]
+            out[members] = _in_domain(_joined(own, groups), images[members], domain)
+    return {members: out[members] for members in groups.distinct}
+
+
+def _pieces(layer: Sequence[frozenset[int]], groups: Groups) -> tuple[list[tuple[int, int]], list[int]]:
+    """Return the species of each group of a layer, apart since charges differ: (place in the layer, first run), and of each run
+    in which of them it is; -1: in none."""
+    pieces = [(place, run) for place, members in enumerate(layer) for run in _one_of_each(members, groups)]
+    piece_of_run = [-1] * len(groups.starts)
+    for index, (place, first) in enumerate(pieces):
+        for run in layer[place]:
+            if groups.species[run] == groups.species[first]:
+                piece_of_run[run] = index
+    return pieces, piece_of_run
+
+
+def _centres_and_periods(images: Sequence[Images]) -> tuple[list[list[float]], list[list[float]]]:
+    return [of.centre.tolist() for of in images], [of.period.tolist() for of in images]
+
+
+def _in_domain(part: Part, images: Images, domain: Domain) -> Part:
+    """Return a part that was measured about images with its mean in the domain."""
+    if not part.weight > 0:
+        return replace(part, images=images)
+    about = images.about(part.mean[:3], domain)
+    shift = np.concatenate([about.centre - images.centre, np.zeros(4)])
+    return replace(part, mean=part.mean + shift, lowest=part.lowest + shift, highest=part.highest + shift, images=about)
 
 
 def _joined(of_runs: Sequence[tuple[int, _native.BeamMoments]], groups: Groups) -> Part:
@@ -201,8 +250,9 @@ def group_quantiles(
     """
     distinct, parts = layers(groups.distinct), []
     for layer in distinct:
-        zeros = [0.0] * len(layer)
-        parts.append(_native.BeamParts(groups.starts, _place_of_runs(layer, len(groups.starts)), zeros, zeros, 1))
+        zeros, images = [0.0] * len(layer), [moments[members].images for members in layer]
+        places = _place_of_runs(layer, len(groups.starts))
+        parts.append(_native.BeamParts(groups.starts, places, zeros, zeros, 1, *_centres_and_periods(images)))
     order = [members for layer in distinct for members in layer]
     centres, forms, typical = zip(*(_frame(moments[members]) for members in order), strict=True)
     flat = _native.amplitude_quantiles(comm.py2f(), *beam.arguments, parts, centres, forms, typical, FRACTIONS)
@@ -258,18 +308,13 @@ def group_slices(
     """
     out: dict[frozenset[int], list[Slice]] = {}
     for layer in layers(groups.distinct):
-        # A species of a group at a time, since charges differ.
-        pieces = [(place, run) for place, members in enumerate(layer) for run in _one_of_each(members, groups)]
-        piece_of_run = [-1] * len(groups.starts)
-        for index, (place, first) in enumerate(pieces):
-            for run in layer[place]:
-                if groups.species[run] == groups.species[first]:
-                    piece_of_run[run] = index
+        pieces, piece_of_run = _pieces(layer, groups)
         edges = [_edges(moments[members], slices) for members in layer]
         lower = [edges[place][0] for place, _ in pieces]
         lengths = [edges[place][-1] - edges[place][0] for place, _ in pieces]
         per_length = [slices / length if length > 0 else 0.0 for length in lengths]
-        parts = _native.BeamParts(groups.starts, piece_of_run, lower, per_length, slices)
+        images = _centres_and_periods([moments[layer[place]].images for place, _ in pieces])
+        parts = _native.BeamParts(groups.starts, piece_of_run, lower, per_length, slices, *images)
         found = _native.beam_moments(comm.py2f(), *beam.arguments, parts)
         for place, members in enumerate(layer):
             own = [(index, run) for index, (at, run) in enumerate(pieces) if at == place]

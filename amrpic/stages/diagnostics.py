@@ -10,13 +10,15 @@ import numpy as np
 from mpi4py import MPI
 
 from .. import _native
-from ..mesh.domain import AXES
+from ..mesh.domain import AXES, Domain
 from ..mesh.field import Compensation, Field, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..parallel import global_sum, global_sums_and_largest
+from ..particles.images import Images, periods
 from ..particles.particles import Particles
 from ..units import VACUUM_PERMITTIVITY, Quantity
 
+ALL = _native.BeamParts([0], [0], [0.0], [0.0])  # as one part of a beam
 STAGES = ("beam", "push", "migrate", "regrid", "deposit", "solve", "gather", "output")
 
 
@@ -136,7 +138,7 @@ class Moments:
     """What is measured of a beam, in which each particle counts as the real ones that it stands for.
 
     Mean position, rms size about it (m) and normalised rms emittance (m rad) along x, y, z, nan without particles; total
-    momentum (kg m/s) and kinetic energy (J).
+    momentum (kg m/s) and kinetic energy (J); the rms size round each axis on which space repeats over its period, else 0.
     """
 
     mean: np.ndarray
@@ -144,25 +146,47 @@ class Moments:
     emittance: np.ndarray
     momentum: np.ndarray
     kinetic_energy: float
+    fill: np.ndarray
 
 
-def moments(comm: MPI.Comm, particles: Particles, later: Particles | None = None, weight: float = 0.0) -> Moments:
-    """Return the moments of all particles, which are read once. Collective.
+def moments(
+    comm: MPI.Comm,
+    particles: Particles,
+    later: Particles | None = None,
+    weight: float = 0.0,
+    domain: Domain | None = None,
+) -> Moments:
+    """Return the moments of all particles, which are read once, or twice where the domain is periodic. Collective.
 
     With `later`, the same particles at another time, momenta are the mean of both in which those have this `weight`. Where
-    none has a weight, as of test particles alone, each counts as one.
+    none has a weight, as of test particles alone, each counts as one. Along periodic axes of the `domain` the images of
+    particles count that are nearest to their circular mean: see `Images`.
     """
     to = particles if later is None else later
-    sums = _native.beam_sums(comm.py2f(), *particles.arrays, particles.mass, to.momentum, weight)
+    images, sums = _images_and_sums(comm, particles, to, weight, domain)
     if not sums.weight > 0:
-        particles = particles.with_weight(np.broadcast_to(1.0, len(particles)))
-        sums = _native.beam_sums(comm.py2f(), *particles.arrays, particles.mass, to.momentum, weight)
+        ones = particles.with_weight(np.broadcast_to(1.0, len(particles)))
+        images, sums = _images_and_sums(comm, ones, to, weight, domain)
     totals = np.array(sums.momentum), sums.kinetic_energy
     if not sums.weight > 0:
         nothing = np.full(3, np.nan)
-        return Moments(nothing, nothing, nothing, *totals)
+        return Moments(nothing, nothing, nothing, *totals, np.zeros(3))
     xx, uu, xu = (np.array(products) / sums.weight for products in (sums.xx, sums.uu, sums.xu))
-    return Moments(np.array(sums.mean_x), np.sqrt(xx), np.sqrt(np.maximum(xx * uu - xu**2, 0)), *totals)
+    mean = np.array(sums.mean_x)
+    mean += images.about(mean, domain).centre - images.centre
+    return Moments(mean, np.sqrt(xx), np.sqrt(np.maximum(xx * uu - xu**2, 0)), *totals, images.fill)
+
+
+def _images_and_sums(
+    comm: MPI.Comm, particles: Particles, to: Particles, weight: float, domain: Domain | None
+) -> tuple[Images, _native.BeamSums]:
+    """Return which images of particles count, and the sums over these. Collective."""
+    beam = (comm.py2f(), *particles.arrays, particles.mass, to.momentum, weight)
+    around = np.zeros(8)
+    if domain is not None and any(domain.periodic):
+        (around,) = np.array(_native.circular_sums(*beam, ALL, domain.lower, periods(domain)))
+    images = Images.of(around, domain)
+    return images, _native.beam_sums(*beam, images.centre.tolist(), images.period.tolist())
 
 
 def peak_memory() -> int:

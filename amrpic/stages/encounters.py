@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Self
 
@@ -18,7 +19,7 @@ from ..scene.obstacles import Aperture, RectangularAperture, RoundAperture
 Array = NDArray[Any]
 Find = Callable[[Array, Array, Array, Array], tuple[Array, Array, Array]]
 
-LONGEST = 16  # periods that a flight is followed through; no useful step is as long
+MOST_PERIODS = 10_000  # that a flight is followed through: its parts are looked at one after the other
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +70,18 @@ class Flights:
     origin: Array | None = None  # (n, 3) m, where the window is when each flight starts, if that is not in `before`
 
     def losses(self, apertures: Sequence[_native.Aperture]) -> Encounters:
-        """Return where flights first touch the solid of an aperture; at once where they start in it."""
-        met = self._meet(lambda *ways: _native.first_encounters(apertures, *ways))
+        """Return where flights first touch the solid of an aperture; at once where they start in it.
+
+        Solid that reaches beyond a periodic face along z goes on at the other one, unless the domain moves.
+        """
+        solids = [
+            (number, aperture) for number, aperture in enumerate(apertures) for aperture in self._images(aperture)
+        ]
+        which, met = (
+            np.array([number for number, _ in solids], dtype=np.int64),
+            self._meet(lambda *ways: _native.first_encounters([aperture for _, aperture in solids], *ways)),
+        )
+        met.what[:] = which[met.what]
         met = met.select(
             np.all(np.isfinite(met.place), axis=1)
         )  # others are bad input, about which `migrate` complains
@@ -141,21 +152,48 @@ class Flights:
 
     # ---- periodic faces ----
 
-    def _meet(self, find: Find, periods: int = LONGEST) -> Encounters:
+    def _images(self, aperture: _native.Aperture) -> Iterator[_native.Aperture]:
+        """Yield an aperture, and it a period along z further up or down where it reaches beyond a face."""
+        yield aperture
+        period, origin = self.domain.period(2), self.before.origin
+        if math.isinf(period) or self._turns or self.origin is not None or self.after.origin != origin:
+            return
+        lower, upper = aperture.z
+        for face, up in ((self.domain.lower[2], 1), (self.domain.upper[2], -1)):
+            if lower < face + origin[2] < upper and math.isfinite(upper - lower):
+                z = lower + up * period, upper + up * period
+                yield _native.Aperture(aperture.hole, aperture.centre, aperture.half_width, z)
+
+    @property
+    def most_periods(self) -> float:
+        """How many periods of the domain this rank's longest flight has along an axis that is periodic."""
+        out = 0.0
+        for axis in np.flatnonzero(self.domain.periodic).tolist():
+            way = np.abs(self.end[:, axis] - self.start[:, axis])
+            out = max(out, float(way.max(initial=0.0, where=np.isfinite(way))) / self.domain.period(axis))
+        return out
+
+    def _meet(self, find: Find) -> Encounters:
         """Return what `find` finds on the flights, each part of them between periodic faces where it lies in the domain."""
-        ways = self._ways()
-        flight, what, share = find(*ways)
-        start = ways[0][flight] + ways[2]
-        way = ways[1][flight] + ways[3] - start
-        met = _encounters(flight, what, share, start + share[:, None] * way, way)
-        cut, until, rest = self._rest()
-        if len(cut) == 0 or periods == 0:
-            return met
-        behind = rest._meet(find, periods - 1)
-        part = until[behind.flight]
-        share = part + behind.share * (1 - part)
-        behind = Encounters(cut[behind.flight], behind.what, share, behind.place, behind.direction)
-        return met.until(cut, until).joined(behind)
+        parts, flights = [], self
+        number, passed = (
+            np.arange(len(self.start)),
+            np.zeros(len(self.start)),
+        )  # of the flights, and share until their parts
+        while True:
+            ways = flights._ways()
+            flight, what, share = find(*ways)
+            start = ways[0][flight] + ways[2]
+            way = ways[1][flight] + ways[3] - start
+            met = _encounters(flight, what, share, start + share[:, None] * way, way)
+            cut, until, rest = flights._rest()
+            met = met.until(cut, until)
+            begun = passed[met.flight]
+            share = begun + met.share * (1 - begun)
+            parts.append(Encounters(number[met.flight], met.what, share, met.place, met.direction))
+            if len(cut) == 0:
+                return functools.reduce(Encounters.joined, parts)
+            number, passed, flights = number[cut], passed[cut] + until * (1 - passed[cut]), rest
 
     def _rest(self) -> tuple[Array, Array, Flights]:
         """Return which flights go through a periodic face, after which share of their way, and the rest of them beyond it."""
@@ -173,7 +211,10 @@ class Flights:
         axis = np.argmin(shares, axis=1)
         share = np.clip(shares[rows, axis], 0.0, 1.0)
         place = start + share[:, None] * (end - start)
-        place[rows, axis] = np.where(up, lower, upper)[rows, axis]
+        below = np.nextafter(
+            lower, -np.inf
+        )  # so that planes on the lower face are crossed upwards, as those on the upper one are
+        place[rows, axis] = np.where(up, below, upper)[rows, axis]
         end[rows, axis] -= (np.where(up, 1.0, -1.0) * (upper - lower))[rows, axis]
         return cut, share, Flights(place, end, self.domain, self.before, self.after, self._origin(cut, share))
 

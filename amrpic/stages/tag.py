@@ -17,6 +17,7 @@ from ..errors import HierarchyError, InputError
 from ..mesh.domain import Domain
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
+from ..mesh.periods import nearest
 from ..parallel import raise_together, together
 from ..particles.particles import Particles
 
@@ -184,17 +185,17 @@ def within(
 ) -> Tags:
     """Return the cells that reach between two distances from a centre (3,) m, in units of a size (3,) m along each axis.
 
-    Distances are measured along `axes` alone. Without a centre, nan, there is no such cell. Where a size is zero, only what
-    lies at the centre is near.
+    Distances are measured along `axes` alone, on periodic ones to the nearest image of the centre. Without a centre, nan, there
+    is no such cell. Where a size is zero, only what lies at the centre is near.
     """
-    tags = Field(hierarchy)
+    tags, period = Field(hierarchy), hierarchy.domain.period
     for patch in tags.patches:
         half = hierarchy.spacing(patch.level) / 2
         units = [max(size[axis], 1e-9 * half[axis]) for axis in axes]
-        offsets = [np.abs(patch.centres()[axis] - centre[axis]) for axis in axes]
-        nearest = distance([np.maximum(o - half[axis], 0) for o, axis in zip(offsets, axes, strict=True)], units)
-        furthest = distance([o + half[axis] for o, axis in zip(offsets, axes, strict=True)], units)
-        patch.data[...] = (nearest <= at_most) & (furthest >= at_least)
+        offsets = [(axis, np.abs(nearest(patch.centres()[axis] - centre[axis], period(axis)))) for axis in axes]
+        least = distance([np.maximum(o - half[axis], 0) for axis, o in offsets], units)
+        most = distance([np.minimum(o + half[axis], period(axis) / 2) for axis, o in offsets], units)
+        patch.data[...] = (least <= at_most) & (most >= at_least)
     return [tags.array(level) > 0 for level in range(hierarchy.levels)]
 
 

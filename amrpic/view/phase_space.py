@@ -62,7 +62,7 @@ def figures(
     except KeyError:
         raise InputError(f"{dump.path} has no group {group}; choose among {', '.join(dump.groups.names)}") from None
     beam = Beam(dump.particles, dump.particles)
-    moments = group_moments(MPI.COMM_SELF, beam, groups)
+    moments = group_moments(MPI.COMM_SELF, beam, groups, dump.domain)
     part = moments[groups.members[0]]
     if not part.weight > 0:
         raise InputError(f"{group} of {dump.path} has no particles left to draw; choose another group or dump")
@@ -73,7 +73,9 @@ def figures(
             slices = group_slices(MPI.COMM_SELF, beam, groups, moments, SLICES)[groups.members[0]]
             yield name, draw_slices(slices, _title(dump, group))
         else:
-            yield name, draw_plane(_members(dump.particles, groups), part, name, _title(dump, group))
+            members = _members(dump.particles, groups)
+            members = members.replace(part.images.of_places(members.position))
+            yield name, draw_plane(members, part, name, _title(dump, group))
 
 
 def _title(dump: ParticleDump, group: str) -> str:

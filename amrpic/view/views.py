@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..io.field_reader import Dump
 from ..mesh.domain import AXES
+from ..mesh.periods import wrapped_along
 from ..mesh.raster import Line, Raster, Spread, line_through, line_values, projection, slice_through
 from ..mesh.sampling import Request, fitted_values
 
@@ -132,6 +133,7 @@ def _position(dump: Dump, spread: Spread, view: View) -> float:
     """Return where a slice is along its axis, m. Raises InputError if that is outside the domain."""
     axis = view.normal
     position = float(spread.centre[axis]) if view.position is None else view.position
+    position = wrapped_along(axis, position, dump.lower, dump.upper, dump.periodic)
     lower, upper = dump.lower[axis], dump.upper[axis]
     if not lower <= position <= upper:
         raise InputError(

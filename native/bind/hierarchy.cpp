@@ -20,6 +20,18 @@ void bind_hierarchy(nb::module_& m) {
   nb::exception<HierarchyError>(m, "HierarchyError");
   nb::exception<SolverError>(m, "SolverError");
 
+  m.def(
+      "wrapped",
+      [](bind::RealRows points, Real3 lower, Real3 upper, std::array<bool, 3> periodic) {
+        std::vector<Real> out(points.data(), points.data() + points.size());
+        for (std::size_t n = 0; n < out.size(); ++n)
+          if (std::size_t const d = n % 3; periodic[d] && std::isfinite(out[n]))
+            out[n] = wrapped(out[n], lower[d], upper[d]);
+        return bind::to_array(std::move(out), {points.shape(0), 3});
+      },
+      "points"_a, "lower"_a, "upper"_a, "periodic"_a,
+      "Points (n, 3), those beyond periodic faces where their images are in the domain.");
+
   nb::class_<Hierarchy>(m, "Hierarchy")
       .def(
           "__init__",

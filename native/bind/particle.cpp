@@ -270,7 +270,13 @@ void bind_particle(nb::module_& m) {
              std::array<Real, 2> z) {
             new (self) Aperture{hole, centre, half_width, {z[0], z[1]}};
           },
-          "hole"_a, "centre"_a, "half_width"_a, "z"_a);
+          "hole"_a, "centre"_a, "half_width"_a, "z"_a)
+      .def_ro("hole", &Aperture::hole)
+      .def_ro("centre", &Aperture::centre)
+      .def_ro("half_width", &Aperture::half_width)
+      .def_prop_ro("z", [](Aperture const& of) {
+        return std::array<Real, 2>{of.z.lower, of.z.upper};
+      });
   m.def(
       "first_encounters",
       [](std::vector<Aperture> const& apertures, ConstColumns start, ConstColumns end, Real3 start_offset,
@@ -393,22 +399,41 @@ void bind_particle(nb::module_& m) {
   m.def(
       "beam_sums",
       [](bind::Ranks comm, ConstColumns position, ConstColumns momentum, OnePerParticle weight,
-         Row<std::int64_t const> id, OnePerParticle mass, ConstColumns later, Real share) {
+         Row<std::int64_t const> id, OnePerParticle mass, ConstColumns later, Real share, Real3 centre, Real3 period) {
         nb::gil_scoped_release release;
         BeamView const beam{view(position, momentum, weight, id), mass.data(), mass.stride(0) == 0, columns(later),
                             share};
-        return beam_sums(bind::communicator(comm), beam);
+        return beam_sums(bind::communicator(comm), beam, {centre, period});
       },
-      "comm"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "mass"_a, "later"_a, "share"_a);
+      "comm"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "mass"_a, "later"_a, "share"_a, "centre"_a, "period"_a);
 
   nb::class_<BeamParts>(m, "BeamParts")
       .def(
           "__init__",
           [](BeamParts* self, std::vector<std::int64_t> starts, std::vector<int> groups, std::vector<Real> lower,
-             std::vector<Real> per_length, int slices) {
-            new (self) BeamParts{std::move(starts), std::move(groups), std::move(lower), std::move(per_length), slices};
+             std::vector<Real> per_length, int slices, std::vector<Real3> const& centres,
+             std::vector<Real3> const& periods) {
+            std::vector<NearestImages> images;
+            for (std::size_t group = 0; group < centres.size(); ++group)
+              images.push_back({centres[group], periods.at(group)});
+            new (self) BeamParts{std::move(starts), std::move(groups), std::move(lower), std::move(per_length), slices,
+                                 std::move(images)};
           },
-          "starts"_a, "groups"_a, "lower"_a, "per_length"_a, "slices"_a = 1);
+          "starts"_a, "groups"_a, "lower"_a, "per_length"_a, "slices"_a = 1, "centres"_a = std::vector<Real3>{},
+          "periods"_a = std::vector<Real3>{},
+          "Images nearest to the centres (groups, 3) stand for particles where periods (groups, 3) are not 0; m.");
+  m.def(
+      "circular_sums",
+      [](bind::Ranks comm, ConstColumns position, ConstColumns momentum, OnePerParticle weight,
+         Row<std::int64_t const> id, OnePerParticle mass, ConstColumns later, Real share, BeamParts const& parts,
+         Real3 lower, Real3 period) {
+        nb::gil_scoped_release release;
+        BeamView const beam{view(position, momentum, weight, id), mass.data(), mass.stride(0) == 0, columns(later),
+                            share};
+        return circular_sums(bind::communicator(comm), beam, parts, lower, period);
+      },
+      "comm"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "mass"_a, "later"_a, "share"_a, "parts"_a, "lower"_a,
+      "period"_a);
   nb::class_<BeamMoments>(m, "BeamMoments")
       .def_ro("count", &BeamMoments::count)
       .def_ro("weight", &BeamMoments::weight)

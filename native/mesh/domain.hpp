@@ -1,11 +1,26 @@
 #pragma once
 
 #include <array>
+#include <cmath>
 
 #include "mesh/box.hpp"
 #include "stencil/boundary.hpp"
 
 namespace amrpic {
+
+/// The image of a finite place in [lower, upper), where space repeats from `upper` on; what rounds onto the upper end
+/// is the lower one. Places that are there already stay.
+inline Real wrapped(Real x, Real lower, Real upper) {
+  if (x >= lower && x < upper) return x;
+  Real const length = upper - lower;
+  Real rest = x - lower;
+  if (rest >= length && rest < 2 * length)
+    rest -= length;  // exact, as the remainder is, and far faster
+  else if (!(rest < 0 && rest >= -length))
+    rest = std::fmod(rest, length);
+  Real const out = lower + (rest < 0 ? rest + length : rest);
+  return out < upper ? out : lower;
+}
 
 /// The computational domain: a cuboid in metres, cut into the cells of the base level.
 struct Domain {

@@ -26,11 +26,15 @@ Index3 cell_at(Domain const& domain, Level const& level, Real3 const& point) {
   return cell;
 }
 
-bool inside(Domain const& domain, Real3 const& point) {
-  for (int d = 0; d < 3; ++d)
-    if (!(std::isfinite(point[d]) &&
-          (domain.periodic(d) || (point[d] >= domain.lower[d] && point[d] <= domain.upper[d]))))
+/// Bring a point into the domain along periodic axes; false if it lies outside along another one.
+bool enter(Domain const& domain, Real3& point) {
+  for (int d = 0; d < 3; ++d) {
+    if (!std::isfinite(point[d])) return false;
+    if (domain.periodic(d))
+      point[d] = wrapped(point[d], domain.lower[d], domain.upper[d]);
+    else if (!(point[d] >= domain.lower[d] && point[d] <= domain.upper[d]))
       return false;
+  }
   return true;
 }
 
@@ -75,12 +79,13 @@ std::vector<Real> sample(Field const& field, std::vector<Real3> const& points) {
   Hierarchy const& hierarchy = field.hierarchy();
   std::vector<Real> values(points.size(), std::numeric_limits<Real>::quiet_NaN());
   for (std::size_t p = 0; p < points.size(); ++p) {
-    if (!inside(hierarchy.domain(), points[p])) continue;
+    Real3 point = points[p];
+    if (!enter(hierarchy.domain(), point)) continue;
     for (int l = hierarchy.level_count() - 1; l >= 0; --l) {
       Level const& level = hierarchy.level(l);
-      Index3 const home = cell_at(hierarchy.domain(), level, points[p]);
+      Index3 const home = cell_at(hierarchy.domain(), level, point);
       if (level.find(into_domain(level, home)) < 0) continue;
-      values[p] = local_part(field, l, home, points[p]);
+      values[p] = local_part(field, l, home, point);
       break;
     }
   }

@@ -9,7 +9,6 @@ Locator::Locator(std::shared_ptr<Hierarchy const> hierarchy) : hierarchy_(std::m
   Domain const& domain = hierarchy_->domain();
   for (int d = 0; d < 3; ++d) {
     lower_[d] = domain.lower[d];
-    length_[d] = domain.upper[d] - domain.lower[d];
     cells_per_metre_[d] = 1 / domain.spacing(d);
   }
   for (int block = hierarchy_->blocking_factor(); block > 1; block /= 2) ++block_shift_;
@@ -29,13 +28,8 @@ bool Locator::wrap(Real3& x) const {
       while (!inside(d)) x[d] = std::nextafter(x[d], lower_[d]);  // on the upper wall, or rounded onto it
       continue;
     }
-    Real rest = x[d] - lower_[d];
-    if (rest >= length_[d] && rest < 2 * length_[d])
-      rest -= length_[d];  // exact, as the remainder is, and far faster
-    else if (!(rest < 0 && rest >= -length_[d]))
-      rest = std::fmod(rest, length_[d]);
-    x[d] = lower_[d] + (rest < 0 ? rest + length_[d] : rest);
-    if (!inside(d)) x[d] = lower_[d];  // rounded onto the upper face, which is the lower one
+    x[d] = wrapped(x[d], lower_[d], hierarchy_->domain().upper[d]);
+    if (!inside(d)) x[d] = lower_[d];  // its coordinate is rounded onto the upper face, which is the lower one
   }
   return true;
 }

@@ -67,7 +67,7 @@ class Locator {
   std::vector<int> make_children(int level, int box) const;
 
   std::shared_ptr<Hierarchy const> hierarchy_;
-  Real3 lower_, length_, cells_per_metre_;
+  Real3 lower_, cells_per_metre_;
   int block_shift_;  ///< a block of the finer level covers 2^block_shift_ cells along an axis
   /// children_[level][box]: box of the finer level, or -1, for each block; empty until asked for, one -1 if none is
   /// finer.

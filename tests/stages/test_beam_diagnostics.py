@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import qmc
 
+from amrpic import Domain
 from amrpic.particles import distributions
 from amrpic.particles.groups import Groups, NamedBunches, layers
 from amrpic.particles.particles import Particles
@@ -328,3 +329,43 @@ def test_groups_have_plain_names_none_twice():
     # Bunches that are not those of the table leave its runs alone.
     assert Groups.of(table, bunches[:2]).names == ("all", "electron", "proton", "bunch_0", "bunch_1", "bunch_2")
     assert [len(layer) for layer in layers(groups.distinct)] == [1, 2, 4]
+
+
+@pytest.mark.mpi(ranks=(1, 2, 3, 4))
+def test_what_is_measured_of_groups_does_not_depend_on_where_a_period_is_cut(comm):
+    x, u, weight = phase_space()
+    x[::400] = x[1::400]  # none so far out that the period cuts it
+    x -= np.average(x, axis=0, weights=weight)
+    x[900:1200, 2] += 0.02  # bunches lie apart
+    x[1200:1500, 2] -= 0.01
+    length, groups = np.array([0.05, 1.0, 0.2]), Groups.of(TABLE, BUNCHES)
+    domain = Domain((1, 0, -0.1), (1.05, 1, 0.1), 16, {"x": "periodic", "y": "neumann", "z": "periodic"})
+    moments, quantiles = measured(comm, beam := beam_of(comm, x, u, weight), groups)
+    slices = diagnostics.group_slices(comm, beam, groups, moments, 5)
+    for shift in ((0, 0, 0.5), (0.3, 0, -0.45), (0.5, 0, 12.47)):
+        moved = x + length * shift
+        moved[:, ::2] = np.array(domain.lower)[::2] + (moved - domain.lower)[:, ::2] % length[::2]
+        beam = beam_of(comm, moved, u, weight)
+        of_moved = diagnostics.group_moments(comm, beam, groups, domain)
+        quantiles_of_moved = diagnostics.group_quantiles(comm, beam, groups, of_moved)
+        slices_of_moved = diagnostics.group_slices(comm, beam, groups, of_moved, 5)
+        assert list(of_moved) == list(moments)
+        for members, part in moments.items():
+            other = of_moved[members]
+            assert (other.particles, other.charge) == (part.particles, pytest.approx(part.charge, rel=1e-12))
+            assert other.covariance == pytest.approx(part.covariance, rel=1e-8, abs=1e-10 * part.covariance.max())
+            assert other.planes == pytest.approx(part.planes, rel=1e-8, abs=1e-14)
+            apart = (other.mean - part.mean)[:3]
+            periods = (apart / length - shift) * (1, 0, 1)
+            assert periods == pytest.approx(np.rint(periods), abs=1e-9)
+            for ends in ("lowest", "highest"):  # extremes are about the mean, whether beyond a face or not
+                assert (getattr(other, ends) - getattr(part, ends))[:3] == pytest.approx(apart, abs=1e-9)
+            assert np.all((other.mean[[0, 2]] >= (1, -0.1)) & (other.mean[[0, 2]] < (1.05, 0.1)))
+            for kind in ("emittance", "transverse", "spatial"):
+                wanted = getattr(quantiles[members], kind)
+                assert getattr(quantiles_of_moved[members], kind) == pytest.approx(wanted, rel=1e-7)
+            for one, two in zip(slices[members], slices_of_moved[members], strict=True):
+                assert two.part.particles == one.part.particles
+                assert two.lower - one.lower == pytest.approx(apart[2], abs=1e-9)
+                assert two.current == pytest.approx(one.current, rel=1e-8)
+                assert two.part.rms == pytest.approx(one.part.rms, rel=1e-6)

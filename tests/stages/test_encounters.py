@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from amrpic import Scene, Simulation
+from amrpic.errors import ParticleError
 from amrpic.mesh.domain import FACES, Domain
 from amrpic.mesh.window import Window
 from amrpic.scene.obstacles import EllipticAperture, RectangularAperture, RoundAperture
@@ -262,3 +264,80 @@ def test_faces_of_a_domain_go_with_the_window():
     local = met.place - before.origin - met.share[:, None] * np.subtract(after.origin, before.origin)
     assert np.abs(local).max() <= 1.5 + 1e-14
     assert np.all(np.isclose(np.abs(local), 1.5, rtol=0, atol=1e-14).any(axis=1))
+
+
+def test_flights_through_any_number_of_periods_meet_what_a_line_of_copies_has():
+    """Screens as often as their copies on the whole way, apertures at the first copy whose solid is on it."""
+    periodic = Domain((-1, -1, -1), (1, 1, 1), (8, 8, 8), {"x": "open", "y": "open", "z": "periodic"})
+    planes = (-1.0, -0.3, 0.0, 1.0)
+    rng = np.random.default_rng(11)
+    start = rng.uniform(-0.9, 0.9, (40, 3)) * (0.1, 0.1, 1)
+    way = np.stack([np.zeros(40), np.zeros(40), rng.choice([-1, 1], 40) * 10.0 ** rng.uniform(0, 2.5, 40)], axis=1)
+    end = start + way
+    met = flights(start, end, periodic).crossings(planes, flights(start[:0], end[:0], periodic).losses([]))
+    wanted = []
+    for n, (z, to) in enumerate(zip(start[:, 2], end[:, 2], strict=True)):
+        for what, plane in enumerate(planes):
+            copies = plane + 2 * np.arange(-400, 401)
+            lower, upper = min(z, to), max(z, to)
+            between = copies[(lower < copies) & (copies <= upper)]
+            wanted += [(n, what, (copy - z) / (to - z)) for copy in between]
+    wanted.sort(key=lambda one: (one[0], one[2], one[1]))
+    found = sorted(
+        zip(met.flight, met.what, met.share, strict=True), key=lambda one: (one[0], round(one[2], 9), one[1])
+    )
+    wanted.sort(key=lambda one: (one[0], round(one[2], 9), one[1]))
+    assert [one[:2] for one in found] == [one[:2] for one in wanted] and len(found) > 3000
+    assert [one[2] for one in found] == pytest.approx([one[2] for one in wanted], rel=0, abs=1e-12)
+    np.testing.assert_array_equal(met.place[:, 2], np.array(planes)[met.what])
+    # A slow drift across the way meets the plate after so many periods as it takes.
+    out = start + way + (0.3, 0, 0)
+    plate = RectangularAperture(kind="rectangular", half_widths=(0.25, 5), length=0.1, centre=(0, 0, 0.5))
+    lost = flights(start, out, periodic).losses([native_aperture(plate)])
+    for n, share in zip(lost.flight, lost.share, strict=True):
+        x, z = start[n, 0] + 0.3 * share, (start[n, 2] + way[n, 2] * share + 1) % 2 - 1
+        assert abs(x) >= 0.25 - 1e-9 and abs(z - 0.5) <= 0.05 + 1e-9
+        points = start[n] + np.linspace(0, max(share - 1e-6, 0), 4001)[:, None] * (out[n] - start[n])
+        points[:, 2] = (points[:, 2] + 1) % 2 - 1
+        assert not in_solid(plate, points).any()
+    assert len(lost) == 20
+
+
+def test_a_particle_that_steps_over_a_periodic_face_is_recorded_once_on_either_side():
+    periodic = Domain((-1, -1, -1), (1, 1, 1), (8, 8, 8), {"x": "open", "y": "open", "z": "periodic"})
+    for step in (0.25, -0.25, 0.7, -1.3):
+        z, counts = 0.5, np.zeros(3, int)
+        for _ in range(40):
+            way = flights([[0, 0, z]], [[0, 0, z + step]], periodic)
+            met = way.crossings((-1.0, 0.0, 1.0), way.losses([]))
+            counts += np.bincount(met.what, minlength=3)
+            z = (z + step + 1) % 2 - 1
+        assert np.all(np.abs(counts - 40 * abs(step) / 2) <= 1) and counts[0] == counts[2], (step, counts)
+
+
+def test_a_solid_goes_on_behind_a_periodic_face():
+    periodic = Domain((-1, -1, -1), (1, 1, 1), (8, 8, 8), {"x": "open", "y": "open", "z": "periodic"})
+    across = RoundAperture(kind="round", radius=0.2, length=0.6, centre=(0, 0, 1))
+    places = np.linspace(-0.99, 0.99, 67)
+    start = np.stack([np.full(67, 0.5), np.zeros(67), places], axis=1)
+    met = flights(start, start + np.array([0.1, 0, 0]), periodic).losses([native_aperture(across)])
+    assert met.flight.tolist() == np.flatnonzero(np.abs(places) >= 0.7).tolist()
+    assert met.what.tolist() == [0] * len(met)
+
+
+@pytest.mark.mpi(ranks=(1, 3))
+def test_a_flight_too_long_to_be_followed_is_refused_on_all_ranks(comm):
+    scene = {
+        "domain": {"lower": -1e-3, "upper": 1e-3, "cells": 8, "boundary": "periodic"},
+        "background": "neutralizing",
+        "bunches": [{"distribution": "gaussian", "species": "electron", "sigma": "0.1 mm", "charge": "-1 fC", "particles": 10,
+                     "velocity": [0, 0, "0.5 c"]}],
+        "refinement": {"levels": 0},
+        "motion": {"kind": "leapfrog", "dt": "1 us"},
+        "screens": [{"name": "here", "z": 0}],
+        "schedule": {"steps": 1},
+        "output": {"write": []},
+    }  # fmt: skip
+    simulation = Simulation(comm, Scene.from_dict(scene))
+    with pytest.raises(ParticleError, match=r"7.57e\+04 periods of the domain in a step.*; shorten motion.dt"):
+        simulation.advance()

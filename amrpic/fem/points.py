@@ -27,10 +27,10 @@ class Points:
     `held` (elements,): how many points elements have.
 
     `exact_to` (elements,) is the highest m to which an element's weights integrate all products x^i y^j z^k, i, j, k ≤ m,
-    exactly; -1 where the weights are the volumes: because they are to be, or because it is not full (`full_elements`; `free`: the
-    faces of the mesh that are no walls). `rough`: elements (elements,) that keep volumes in any case. `volume` may be what returns them when they are asked for. `gauss`: they
-    are so many of Gauss's points along each axis of all elements, x fastest, and have his weights. `weight`: those that they
-    have instead.
+    exactly; -1 where the weights are the volumes: because they are to be, or because it is not full (`full_elements`; `free`:
+    faces of the mesh that are no walls). `rough`: elements (elements,) that keep volumes in any case. `volume` may be what
+    returns them when they are asked for. `gauss`: they are so many of Gauss's points along each axis of all elements, x
+    fastest, and have his weights. `weight`: those that they have instead. Collective to make.
     """
 
     def __init__(

@@ -18,8 +18,8 @@ struct FittedWeights {
 };
 
 /// The weights nearest to volumes V, which are scaled to add up to the element's, in the sum of (w - V)²/V over its
-/// points, that are at least `least_weight` V and exact to the highest degree, up to `highest`, for which there are such
-/// weights. Points that share a place count as the one that they make up.
+/// points, that are at least `least_weight` V and exact to the highest degree, up to `highest`, for which there are
+/// such weights. Points that share a place count as the one that they make up.
 ///
 /// `first`: where each element's points start, elements + 1 values; `reference`: x, y, z of each from -1 to 1; `full`,
 /// of each element: it has points, and they fill it; others keep volumes.

@@ -54,7 +54,7 @@ class Points:
         if weight is None:
             weight = self.volume
             if weights == "moments" and not gauss:
-                full = full_elements(mesh, element, places, weight, free)
+                full = full_elements(mesh, element, places, weight, rough, free)
                 weight = self._fit(places, weight, full if rough is None else full & ~rough)
         self.native = _native.FemPoints(
             mesh.native,

@@ -23,8 +23,8 @@ def full_elements(
     """Return which of this rank's elements are full, (elements,). Collective.
 
     These and their 26 neighbours hold points, and volumes add up to the space: to `WITHIN` in the element, or to `AROUND` about
-    it, if no element there is `rough` (elements,). Those in the element alone say little: where one row of k crosses a face, they
-    change by 1/k. Beyond the mesh there is a wall, which counts as filled, or, where a face is `free` (3, 2), nothing.
+    it, if no element there is `rough` (elements,). Those in the element alone say little: where one row of k crosses a face,
+    they change by 1/k. Beyond the mesh there is a wall, which counts as filled, or, where a face is `free` (3, 2), nothing.
 
     Volumes about an element are those at its eight corners, shared by the functions of degree 1, over what these would have:
     rows of two or more in an element leave their mean as it is, wherever they lie. A gap that it does not see, half an element

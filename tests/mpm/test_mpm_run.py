@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from amrpic.io.field_reader import open_dump
 from amrpic.io.run_status import RunStatus
 from amrpic.mpm.material_points import migrate, require_inside
 from amrpic.mpm.means import element_means
+from amrpic.mpm.measure import loose_weights
 from amrpic.mpm.preview import preview
 from amrpic.mpm.sample import mesh_of, sample
 from amrpic.results import report
@@ -97,6 +99,18 @@ def test_stress_of_a_column_converges_where_rows_of_two_points_cross_faces(colum
     coarse, fine = (column_errors(MPI.COMM_SELF, column, n, "uniform", 2)[1] for n in (16, 32))
     assert coarse < OF_SOFT[16] and fine < OF_SOFT[32]
     assert np.log2(coarse / fine) > 1.1
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+def test_too_few_points_in_disorder_are_remarked_on(comm, tmp_path):
+    for per_axis, remarks in ((2, 1), (3, 0)):
+        few = scene(tmp_path, points={"per_axis": per_axis}, output={"directory": str(tmp_path / "few"), "write": []})
+        found = loose_weights(mpm.Simulation(comm, few).state.placed)
+        assert len(found) == remarks
+        assert all(
+            re.match(r"\d+ of 16 full elements have points whose weights cannot be exact to degree 1", one)
+            for one in found
+        )
 
 
 def _merged(one, other, _):

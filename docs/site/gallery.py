@@ -108,7 +108,7 @@ SCRIPTS = {
 
 def script(name: str, picture: Path) -> None:
     """Run an example in Python, which draws its picture."""
-    command = [sys.executable, EXAMPLES / f"{name}.py", "--picture", picture]
+    command: list[str | Path] = [sys.executable, EXAMPLES / f"{name}.py", "--picture", picture]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
 
 
@@ -147,7 +147,7 @@ def main() -> None:
         print(name, flush=True)
         with tempfile.TemporaryDirectory() as folder:
             if name in SCENES:
-                run = [AMRPIC, "run", EXAMPLES / f"{name}.toml", "--output", folder, *shown.changes]
+                run: list[str | Path] = [AMRPIC, "run", EXAMPLES / f"{name}.toml", "--output", folder, *shown.changes]
                 subprocess.run(run, check=True, stdout=subprocess.DEVNULL)
             shown.draw(Path(folder), PICTURES / f"gallery_{name}.png")
     PAGE.write_text(page(), encoding="utf-8")

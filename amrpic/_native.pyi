@@ -142,12 +142,12 @@ def fem_fit_moments(
     first: NDArray[numpy.int64],
     reference: NDArray[numpy.float64],
     volume: NDArray[numpy.float64],
-    rough: NDArray[numpy.bool_],
+    full: NDArray[numpy.bool_],
     element_volume: float,
     highest: int,
 ) -> tuple:
     """
-    Weights of points near their volumes, and to which degree they are exact in each element.
+    Weights of points near their volumes, and to which degree they are exact in each element that is full.
     """
 
 class FemLattice:

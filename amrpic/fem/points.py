@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from .. import _native
 from ..errors import InputError
 from ..parallel import together
+from .full import WALLS, full_elements
 from .mesh import Mesh
 
 Weights = Literal["moments", "volume"]
@@ -26,10 +27,10 @@ class Points:
     `held` (elements,): how many points elements have.
 
     `exact_to` (elements,) is the highest m to which an element's weights integrate all products x^i y^j z^k, i, j, k ≤ m,
-    exactly; -1 where the weights are the volumes: because they are to be, or because it has no points or is not full. `rough`:
-    elements (elements,) that keep volumes in any case. `volume` may be what returns them when they are asked for. `gauss`: they
-    are so many of Gauss's points along each axis of all elements, x fastest, and have his weights. `weight`: those that they
-    have instead.
+    exactly; -1 where the weights are the volumes: because they are to be, or because it is not full (`full_elements`; `free`:
+    faces of the mesh that are no walls). `rough`: elements (elements,) that keep volumes in any case. `volume` may be what
+    returns them when they are asked for. `gauss`: they are so many of Gauss's points along each axis of all elements, x
+    fastest, and have his weights. `weight`: those that they have instead. Collective to make.
     """
 
     def __init__(
@@ -43,6 +44,7 @@ class Points:
         gauss: int = 0,
         weight: np.ndarray | None = None,
         rough: np.ndarray | None = None,
+        free: ArrayLike = WALLS,
     ) -> None:
         self.mesh = mesh
         self.held = np.bincount(element, minlength=len(mesh.elements))
@@ -52,7 +54,8 @@ class Points:
         if weight is None:
             weight = self.volume
             if weights == "moments" and not gauss:
-                weight = self._fit(places, weight, np.zeros(len(mesh.elements), dtype=bool) if rough is None else rough)
+                full = full_elements(mesh, element, places, weight, rough, free)
+                weight = self._fit(places, weight, full if rough is None else full & ~rough)
         self.native = _native.FemPoints(
             mesh.native,
             np.ascontiguousarray(element, dtype=np.int32),
@@ -61,11 +64,11 @@ class Points:
             gauss == mesh.degree + 1,
         )
 
-    def _fit(self, places: np.ndarray, volume: np.ndarray, rough: np.ndarray) -> np.ndarray:
-        """The weights of points: in elements that are not rough, those exact to the highest degree there is."""
+    def _fit(self, places: np.ndarray, volume: np.ndarray, full: np.ndarray) -> np.ndarray:
+        """The weights of points: in elements that are full, those exact to the highest degree there is. Local."""
         first = np.concatenate([[0], np.cumsum(self.held)]).astype(np.int64)
         weight, self.exact_to = _native.fem_fit_moments(
-            first, places, volume, rough, self.mesh.element_volume, 2 * self.mesh.degree - 1
+            first, places, volume, full, self.mesh.element_volume, 2 * self.mesh.degree - 1
         )
         return weight
 

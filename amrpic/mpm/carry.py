@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..fem import Mesh
+from ..fem.full import WALLS
 from .material_points import MaterialPoints, migrate, placed, require_inside
 from .solid import Solid
 
@@ -28,12 +30,13 @@ def moved(solid: Solid, u: np.ndarray, body: np.ndarray | slice, initial_volume:
     )
 
 
-def carried(solid: Solid, u: np.ndarray, mesh: Mesh) -> Solid:
+def carried(solid: Solid, u: np.ndarray, mesh: Mesh, free: ArrayLike = WALLS) -> Solid:
     """Return the solid after a displacement, (nodes, 3) in m, on a mesh that has none. Collective.
 
     Points move by u to the ranks of their elements, and have F and volumes from there on; damage and driving energy stay.
+    `free` (3, 2): which faces of the mesh, lower and upper along each axis, are no walls; elements at these keep volumes.
     Raises on all ranks ParticleError for points that are outside the mesh, InputError for elements with too few.
     """
     columns = moved(solid, u, slice(None), solid.points.volume / solid.j).columns()
     require_inside(columns, mesh, 1.0)
-    return placed(migrate(columns, mesh)[0], mesh, list(solid.materials), "moments").solid
+    return placed(migrate(columns, mesh)[0], mesh, list(solid.materials), "moments", free=free).solid

@@ -7,17 +7,19 @@ from mmap import MAP_ANONYMOUS, MAP_PRIVATE, mmap
 
 import numpy as np
 from mpi4py import MPI
+from numpy.typing import ArrayLike
 
 from .. import _native
 from ..errors import InputError, ParticleError
 from ..fem import Mesh, Points, gauss
+from ..fem.full import WALLS
 from ..fem.points import Weights
 from ..parallel import raise_together
 from .materials import Material, NeoHookean
 from .solid import Solid, determinants
 
 AT_FACE = 1e-9  # parts of a mesh's size: so far outside points may be, by rounding and the solver's tolerance
-FULL = 0.05  # an element is full if the volumes of its points differ by no more from its own
+FILLED = 0.05  # where the weights of its points add up to an element's volume so nearly it needs no floor
 OWNERS = np.zeros(0, dtype=np.int64)  # in place of servers: points go to the ranks of their elements
 NONE = np.zeros(0, dtype=np.int64)
 Columns = dict[str, np.ndarray]  # of points, by their names in MaterialPoints
@@ -152,7 +154,12 @@ def enough(degree: int) -> int:
 
 
 def placed(
-    points: MaterialPoints, mesh: Mesh, materials: list[Material], weights: Weights, floor_stiffness: float = 0.0
+    points: MaterialPoints,
+    mesh: Mesh,
+    materials: list[Material],
+    weights: Weights,
+    floor_stiffness: float = 0.0,
+    free: ArrayLike = WALLS,
 ) -> Placed:
     """Return points that are sorted by element and id as a solid in a mesh. Collective.
 
@@ -163,14 +170,14 @@ def placed(
     """
     element, reference = mesh.native.locate(points.position)
     rough = _several(element, points.material, len(mesh.elements))
-    weighed = Points(mesh, element, reference, lambda: points.volume, points.id, weights, rough=rough)
-    volume = np.bincount(element, points.volume, len(mesh.elements))
+    weighed = Points(mesh, element, reference, lambda: points.volume, points.id, weights, rough=rough, free=free)
+    weight = np.bincount(element, weighed.weight, len(mesh.elements))
     held = weighed.held
     poor = held < enough(mesh.degree)
     if floor_stiffness == 0:
         _require_enough(mesh, held, poor)
     carried = (points.material, points.deformation, points.damage, points.driving)
-    thin = np.flatnonzero(poor | (np.abs(volume - mesh.element_volume) > FULL * mesh.element_volume))
+    thin = np.flatnonzero(poor | (np.abs(weight - mesh.element_volume) > FILLED * mesh.element_volume))
     some = int(mesh.comm.allreduce(len(thin) if floor_stiffness > 0 else 0))
     if some == 0:
         material, deformation, damage, driving = carried

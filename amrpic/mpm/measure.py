@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from mpi4py import MPI
 
+from ..fem.points import HIGHEST_DEGREE
 from ..mesh.domain import AXES, FACES
 from ..units import Quantity
 from .conditions import body_force, held_by, nodes_of
@@ -17,6 +18,7 @@ from .scene import Scene
 from .solid import Solid
 from .state import Plan, State
 
+MOST_LOOSE = 0.05  # of the full elements
 STAGES = ("sample", "migrate", "weigh", "equilibrium", "output")
 
 
@@ -55,6 +57,18 @@ def degrees(scene: Scene) -> list[str]:
     """Return the names of columns that count elements by the exactness of their weights."""
     highest = 2 * max(scene.domain.degree, scene.points.per_axis if scene.points.layout == "gauss" else 0) - 1
     return ["weights_are_volumes", *(f"weights_exact_to_{m}" for m in range(highest + 1))]
+
+
+def loose_weights(there: Placed) -> list[str]:
+    """Return a sentence if weights of more than `MOST_LOOSE` of the full elements are not exact to their degree. Collective."""
+    exact, degree = there.weighed.exactness(), there.mesh.degree
+    full, loose = (sum(count for m, count in exact.items() if 0 <= m < most) for most in (HIGHEST_DEGREE + 1, degree))
+    if loose <= MOST_LOOSE * full:
+        return []
+    return [
+        f"{loose} of {full} full elements have points whose weights cannot be exact to degree {degree}: stresses there are off "
+        "by 5 % and more on any mesh; give elements more points (points.per_axis)"
+    ]
 
 
 def at_rest(there: Placed, plan: Plan) -> dict[str, float]:

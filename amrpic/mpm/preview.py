@@ -19,6 +19,7 @@ from ..view.draw import draw
 from ..view.views import View
 from .limits import memory, require_room
 from .means import element_means
+from .measure import loose_weights
 from .scene import Scene
 from .state import Plan, State
 from .step import begin
@@ -40,7 +41,7 @@ def preview(comm: MPI.Comm, scene: Scene) -> str:
         _structure(plan, state),
         _elements(plan, state),
         _memory(plan),
-        [f"note: {remark}" for remark in scene.remarks()],
+        [f"note: {remark}" for remark in [*scene.remarks(), *loose_weights(state.placed)]],
         _pictures(plan, state),
     ]
     return "\n\n".join("\n".join(lines) for lines in paragraphs if lines)

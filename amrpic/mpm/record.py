@@ -24,7 +24,7 @@ from ..stages.diagnostics import peak_memory
 from ..view.draw import draw
 from ..view.views import OF_POINTS
 from .means import element_means, point_values
-from .measure import STAGES, quantities
+from .measure import STAGES, loose_weights, quantities
 from .restart import snapshot
 from .state import Plan, State
 
@@ -43,7 +43,7 @@ class Recorder:
         self._since = time.perf_counter()
         self._log = RunLog(plan.comm, scene.schedule.last_step, how=log, line=step_line)
         self._log.note(f"kernels: {isa.description()}")
-        for remark in scene.remarks():
+        for remark in [*scene.remarks(), *loose_weights(state.placed)]:
             self._log.warn(remark)
         if self._wanted and not resumed and (earlier := set_aside(plan.comm, scene.directory)) is not None:
             self._log.note(earlier)

@@ -52,7 +52,8 @@ def put(columns: Columns, plan: Plan, load: float) -> tuple[Placed, int]:
         require_inside(columns, mesh, load)
         there, came = migrate(columns, mesh)
     with plan.clock("weigh"):
-        return placed(there, mesh, plan.materials, scene.points.weights, scene.floor_stiffness), came
+        free = [[face.kind == "free" for face in pair] for pair in scene.faces.values()]
+        return placed(there, mesh, plan.materials, scene.points.weights, scene.floor_stiffness, free), came
 
 
 def _equilibrium(state: State, loads: Loads, plan: Plan) -> tuple[Settled, DamageReport]:

@@ -10,7 +10,7 @@ from typing import get_args
 
 from mpi4py import MPI
 
-from ..errors import InputError
+from ..errors import InputError, ParticleError, SolverError
 from ..scene import solver_options
 from ..scene.scene import Scene
 from . import (
@@ -35,7 +35,7 @@ from . import (
 from .chosen import backend as chosen_backend
 from .chosen import lengths
 from .draw import draw_curves
-from .table import Table
+from .table import Goal, Table
 
 TOPICS: Mapping[str, Callable[[MPI.Comm], Iterator[Table]]] = {
     "convergence": convergence.tables,
@@ -70,8 +70,8 @@ def verify(
 
     Of the topics named and of speed against error of the scenes, with fewer settings and cases if `quick`; of all topics if
     neither is named. `backend` is that of the solver, if not the default; with `long` comparisons that take longer are made
-    in full. Raises InputError for a topic or a backend that
-    does not exist, and for a scene whose charge has no formula.
+    in full. A topic in which a run ends early has a table that says so and misses its goal, and the others follow. Raises
+    InputError for a topic or a backend that does not exist, and for a scene whose charge has no formula.
     """
     for topic in topics:
         if topic not in TOPICS:
@@ -79,11 +79,19 @@ def verify(
     require_backend(backend)
     with chosen_backend(backend), lengths(long, quick):
         for topic in topics or (() if scenes else TOPICS):
-            for table in TOPICS[topic](comm):
+            for table in _to_the_end(topic, TOPICS[topic](comm)):
                 yield topic, table
         for scene in scenes:
             for table in pareto.tables(comm, scene, quick):
                 yield "pareto", table
+
+
+def _to_the_end(topic: str, tables: Iterator[Table]) -> Iterator[Table]:
+    """The tables of a topic, and where it raises, on all ranks, one more: the page has what was measured before and after."""
+    try:
+        yield from tables
+    except (SolverError, ParticleError) as why:
+        yield Table(f"{topic}: not measured to its end", str(why), ("errors",), [[Goal(1, 0)]])
 
 
 def require_backend(name: str | None) -> None:

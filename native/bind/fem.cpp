@@ -91,18 +91,18 @@ void bind_fem(nb::module_& m) {
       "Nodes of an element along an axis, from -1 to 1.");
   m.def(
       "fem_fit_moments",
-      [](bind::Starts first, bind::RealRows reference, bind::Reals volume, Flags rough, Real element_volume,
+      [](bind::Starts first, bind::RealRows reference, bind::Reals volume, Flags full, Real element_volume,
          int highest) {
         fem::FittedWeights fitted;
         {
           nb::gil_scoped_release release;
           fitted = fem::fit_moments({first.data(), first.data() + first.size()}, reference.data(), volume.data(),
-                                    rough.data(), element_volume, highest);
+                                    full.data(), element_volume, highest);
         }
         return nb::make_tuple(bind::to_array(std::move(fitted.weight)), bind::to_array(std::move(fitted.degree)));
       },
-      "first"_a, "reference"_a, "volume"_a, "rough"_a, "element_volume"_a, "highest"_a,
-      "Weights of points near their volumes, and to which degree they are exact in each element.");
+      "first"_a, "reference"_a, "volume"_a, "full"_a, "element_volume"_a, "highest"_a,
+      "Weights of points near their volumes, and to which degree they are exact in each element that is full.");
 
   nb::class_<fem::Lattice>(m, "FemLattice",
                            "Nodes of elements on the base cells of a hierarchy; amrpic.fem.Mesh has it.")

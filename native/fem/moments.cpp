@@ -8,6 +8,7 @@
 #include <array>
 #include <cmath>
 #include <cstdint>
+#include <numeric>
 #include <optional>
 #include <utility>
 
@@ -275,24 +276,20 @@ int fit(Real const* reference, std::vector<Real> const& volume, std::size_t coun
 }  // namespace
 
 FittedWeights fit_moments(std::vector<std::int64_t> const& first, Real const* reference, Real const* volume,
-                          bool const* rough, Real element_volume, int highest) {
+                          bool const* full, Real element_volume, int highest) {
   FittedWeights out{{volume, volume + first.back()}, {}};
   std::vector<Real> parts, before, weight;
   Real const* place_before = nullptr;
   int degree = not_fitted;
   for (std::size_t e = 0; e + 1 < first.size(); ++e) {
     out.degree.push_back(not_fitted);
-    if (rough[e]) continue;
+    if (!full[e]) continue;
     std::size_t const count = std::size_t(first[e + 1] - first[e]);
     Real const* const place = reference + 3 * first[e];
     parts.clear();
-    Real sum = 0;
-    for (std::int64_t p = first[e]; p < first[e + 1]; ++p) {
-      parts.push_back(volume[p] / element_volume);
-      sum += parts.back();
-    }
+    Real const sum = std::accumulate(volume + first[e], volume + first[e + 1], Real(0));
+    for (std::int64_t p = first[e]; p < first[e + 1]; ++p) parts.push_back(volume[p] / sum);
     parts.resize(padded(count), 0);
-    if (std::abs(sum - 1) > full_within) continue;
     bool const same = place_before && parts == before && std::equal(place, place + 3 * count, place_before);
     if (!same) degree = fit(place, parts, count, highest, weight);
     out.degree.back() = degree;

@@ -22,7 +22,7 @@ typedef Real OneLane __attribute__((may_alias));
 
 // A pivot over its diagonal entry: above the first number the equations are trusted, below the second one the column
 // depends on those before it, as it often does on lattices. Between them only orthogonal factors tell.
-constexpr Real pivot_tolerance = 1e-8, pivot_of_rounding = 1e-13;
+constexpr Real pivot_tolerance = 1e-5, pivot_of_rounding = 1e-13;
 
 /// What a column that depends on others may lack of its right-hand side, relative, before no weights are looked for.
 constexpr Real far_from_dependent = 1e-3;
@@ -30,7 +30,7 @@ constexpr Real far_from_dependent = 1e-3;
 constexpr int first_cache = 24 << 10;  ///< bytes, of which something is left for other things
 
 /// Change of a weight by refinement, over the sum of all, that is not worth its time.
-constexpr Real small_change = 2e-13;
+constexpr Real small_change = 2e-14;
 
 /// Call f(first, number of columns as a constant) for columns in groups of `most`, and once for the rest: as many sums
 /// as registers hold, so that none waits for another.
@@ -83,7 +83,7 @@ class Batch {
     y_ = tau_;
     substitute_forward(y_);
     substitute_backward(y_);
-    reproduce();
+    reproduce(false);
     refine();
     write(of, to, Path::normal_equations);
   }
@@ -392,34 +392,35 @@ class Batch {
     });
   }
 
-  /// Correct y by the solution for the residual r, in those lanes where it matters: the change δz of z has the length
-  /// of L⁻¹ r, as QᵀQ = L Lᵀ, and that of a weight is at most so long.
+  /// Correct z by the solution for the residual r, in those lanes where it matters: the change δz of z has the length
+  /// of L⁻¹ r, as QᵀQ = L Lᵀ, and that of a weight is at most so long. Not y: it is so much larger than z, where pivots
+  /// are small, that its rounding would come back.
   void refine() {
-    step_ = residual_;
-    substitute_forward(step_);
+    y_ = residual_;
+    substitute_forward(y_);
     V const zero{}, one = V{} + 1;
     V largest = zero, matters = zero;
     for (V const& l : largest_) largest = at_least(l, largest);
     for (int t = 0; t < targets_; ++t) {
       V change = zero;
-      for (int i = 0; i < free_; ++i) change += step_[at(i, targets_, t)] * step_[at(i, targets_, t)];
+      for (int i = 0; i < free_; ++i) change += y_[at(i, targets_, t)] * y_[at(i, targets_, t)];
       V const bound = small_change * sum_[std::size_t(t)];
       matters = change * (largest * largest) > bound * bound ? one : matters;
     }
     bool any = false;
     for (int l = 0; l < width<V>; ++l) any = any || number(matters, std::size_t(l)) > 0;
     if (!any) return;
-    substitute_backward(step_);
-    for (std::size_t i = 0; i < y_.size(); ++i) y_[i] += matters > zero ? step_[i] : zero;
-    reproduce();
+    substitute_backward(y_);
+    for (V& y : y_) y = matters > zero ? y : zero;
+    reproduce(true);
   }
 
-  /// z = Q y, and what is missing to the reproduction of the space.
-  void reproduce() {
+  /// z = Q y, or, if `more`, that is added; and what is missing to the reproduction of the space.
+  void reproduce(bool more) {
     for (int j = 0; j < m_; j += 2)
       in_columns(targets_, [&](int t, auto columns) {
         V* const to = &z_[at(j, targets_, t)];
-        find_products<columns>(n_, &q_[at(j, n_, 0)], 1, n_, &y_[std::size_t(t)], targets_, to, targets_);
+        find_products<columns>(n_, &q_[at(j, n_, 0)], 1, n_, &y_[std::size_t(t)], targets_, to, targets_, more);
       });
     find_residual();
   }
@@ -506,7 +507,7 @@ class Batch {
   std::vector<V> row_, table_, powers_, reduced_, reflector_, upper_;
   std::vector<Each<V>> sample_;
   std::vector<V> place_, q_, fixed_q_, root_weight_, largest_, z_;
-  std::vector<V> size_, sum_, tau_, fixed_tau_, y_, step_, residual_, matrix_, inverse_root_;
+  std::vector<V> size_, sum_, tau_, fixed_tau_, y_, residual_, matrix_, inverse_root_;
   V count_{}, least_pivot_{}, unclear_{}, independent_{}, contradiction_{};
 };
 

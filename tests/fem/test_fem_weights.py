@@ -103,6 +103,76 @@ def test_elements_that_are_not_full_keep_volumes():
     assert (points.weight[~of_partly] != points.volume[~of_partly]).any()
 
 
+def holds_and_fills(cells, place, volume, free):
+    """By numpy on all points: whether elements and their neighbours hold points, and volumes in and about them, over space.
+
+    `place` (n, 3) in element widths, `volume` in elements. About an element a point counts by the mean of what two corners
+    along each axis have of it, over the element's width or, at an end, half of it.
+    """
+    inside = np.minimum(place.astype(int), np.array(cells) - 1)
+    own = np.zeros(cells)
+    np.add.at(own, tuple(inside.T), volume)
+    padded = np.pad(own > 0, 1, constant_values=True)
+    for axis, pair in enumerate(free):
+        for end, is_free in zip((0, -1), pair, strict=True):
+            if is_free:
+                np.moveaxis(padded, axis, 0)[end] = False
+    holds = np.ones(cells, dtype=bool)
+    for shift in np.ndindex(3, 3, 3):
+        holds &= padded[tuple(slice(s, s + n) for s, n in zip(shift, cells, strict=True))]
+    about = []
+    for axis, n in enumerate(cells):
+        corner = np.arange(n + 1)
+        hats = np.maximum(0, 1 - np.abs(place[:, axis, None] - corner)) / np.where(
+            (corner == 0) | (corner == n), 0.5, 1
+        )
+        about.append((hats[:, :-1] + hats[:, 1:]) / 2)
+    return holds, own, np.einsum("p,pi,pj,pk->ijk", volume, *about)
+
+
+@pytest.mark.mpi(ranks=(1, 2, 3), more=(4,))
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("size", [2, 8])
+def test_elements_are_full_whose_surroundings_points_fill_on_any_ranks_and_boxes(comm, degree, size):
+    """A block with a free top, whose rows are pressed together, with a slit, a corner that is gone, and pores in one half."""
+    cells, free = (7, 5, 8), ((False, False), (False, True), (False, False))
+    axes = [(np.arange(3 * n) + 0.5) / 3 for n in cells]
+    place = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+    rng = np.random.default_rng(1)
+    slit = (np.abs(place[:, 0] - 3.5) < 0.2) & (place[:, 1] > 3)
+    gone = (place > np.array(cells) - 2.5).all(axis=1)
+    pores = (place[:, 2] > 4) & (rng.uniform(size=len(place)) < 0.15)
+    kept = place[~(slit | gone | pores)]
+    kept[:, 2] *= 0.9
+    volume = np.full(len(kept), 0.9 / 27)
+    mesh = fem.Mesh(comm, 0, cells, cells, degree=degree, max_grid_size=size)
+    element, reference = mesh.native.locate(kept)
+    own = np.flatnonzero(element >= 0)
+    own = own[np.argsort(element[own], kind="stable")]
+    points = fem.Points(mesh, element[own], reference[own], volume[own], own, free=free)
+    holds, within, around = holds_and_fills(cells, kept, volume, free)
+    assert min(np.abs(np.abs(within - 1) - 0.05).min(), np.abs(np.abs(around - 1) - 0.1).min()) > 1e-6
+    full = holds & ((np.abs(within - 1) < 0.05) | (np.abs(around - 1) < 0.1))
+    assert (holds & (np.abs(within - 1) < 0.05)).sum() < full.sum() < holds.sum()
+    np.testing.assert_array_equal(points.exact_to >= 0, full[tuple(mesh.elements.T)])
+
+
+def test_rows_that_cross_faces_leave_weights_exact():
+    """Rows of two, pressed to 0.85: volumes of elements are off by up to a half, weights are exact to degree 1 in all."""
+    mesh = fem.Mesh(MPI.COMM_SELF, 0, (1, 1, 5), (2, 2, 10))
+    rows = fem.uniform(mesh, 2)
+    place = rows.position * [1, 1, 0.85]
+    kept = fem.given(mesh, place, volume=rows.volume * 0.85)
+    volume = np.bincount(kept.element, kept.volume, len(mesh.elements)) / mesh.element_volume
+    filled = mesh.elements[:, 2] < 7  # the rest ends in the ninth layer, or is empty
+    assert np.abs(volume[filled] - 1).max() > 0.2
+    assert (kept.exact_to[filled] == 1).all()
+    for element, reference, _, weight in of_elements(kept):
+        if filled[element]:
+            products, exact = moments(reference, 1)
+            assert np.abs(products @ weight - exact).max() < 1e-12
+
+
 def test_volume_weights_are_volumes():
     points = fem.jittered(mesh_of(2), 4, weights="volume")
     assert points.exactness() == {-1: 8}

@@ -13,7 +13,7 @@ import pytest
 from mpi4py import MPI
 
 from amrpic.commands.main import main
-from amrpic.errors import InputError
+from amrpic.errors import InputError, SolverError
 from amrpic.run.initial_particles import make_particles
 from amrpic.scene import solver_options
 from amrpic.scene.scene import Scene
@@ -97,6 +97,26 @@ def test_a_missed_goal_is_marked_and_fails_the_command(monkeypatch, capsys, tmp_
     assert "| there | nan (≤ 1.0e-03) MISSED |" in capsys.readouterr().out
     assert "MISSED" in (tmp_path / "verification.md").read_text()
     assert (tmp_path / "pictures" / "verify_odd.png").stat().st_size > 1000
+
+
+def test_a_topic_that_fails_misses_its_goal_and_the_others_are_measured(monkeypatch, capsys, tmp_path):
+    def failing(comm):
+        yield Table("First", "Nothing.", ("value",), [[1.0]])
+        raise SolverError("no equilibrium beyond 0.85 of the load")
+
+    def good(comm):
+        yield Table("Last", "Nothing.", ("value",), [[Goal(1.0, 2.0)]])
+
+    monkeypatch.setitem(TOPICS, "failing", failing)
+    monkeypatch.setitem(TOPICS, "good", good)
+    with pytest.raises(SystemExit) as exit_:
+        main(["verify", "failing", "good", "--output", str(tmp_path)])
+    assert exit_.value.code == 1
+    assert "goals are missed in failing: failing: not measured to its end" in capsys.readouterr().out
+    page = (tmp_path / "verification.md").read_text()
+    titles = [line for line in page.splitlines() if line.startswith("## ")]
+    assert titles == ["## First", "## failing: not measured to its end", "## Last"]
+    assert "no equilibrium beyond 0.85 of the load" in page
 
 
 def test_long_reaches_the_topics(monkeypatch, capsys):

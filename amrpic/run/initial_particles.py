@@ -13,10 +13,9 @@ from ..errors import InputError
 from ..io import openpmd_reader
 from ..io.vetting import require_readable_on_all
 from ..parallel import share, together
-from ..particles.frame import LARGEST_MOMENTUM
 from ..particles.particles import Particles, concatenate
 from ..particles.phase_space import PhaseSpace
-from ..particles.species import Species, SpeciesTable
+from ..particles.species import LARGEST_MOMENTUM, Species, SpeciesTable
 from ..scene.bunch_files import ArrayBunch, OpenPMDBunch
 from ..scene.bunches import Bunch, LatticeBunch, Train
 from ..scene.scene import Scene

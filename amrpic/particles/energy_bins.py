@@ -116,7 +116,7 @@ def frames_of(
     if not anew and last.only == LABORATORY:
         if moves @ moves < STATIC:
             return last
-        anew = True  # for the axis along which they move by now
+        anew = int(np.argmax(np.abs(moves))) != last.axis
     if not anew and np.linalg.norm(moves - last.moves) <= SAME * np.linalg.norm(moves):
         return last
     axis, edges = last.axis, last.edges
@@ -319,7 +319,7 @@ def error_of(motion: Left, frame: Frame) -> np.ndarray:
     """
     along, across = motion.square[frame.axis], np.delete(motion.square, frame.axis)
     alike, later = across.min(), max(map(abs, frame.beta)) ** 2
-    free = across.max() - (1 - later) * min(alike, along), max(along - (1 - later) * alike, 0.0)
+    free = across.max() - (1 - later) * min(alike, along), max(along - motion.current - (1 - later) * alike, 0.0)
     parts = [FREE * square / (1 - square) for square in free]
     parts[1] += max(motion.current, math.sqrt(along * motion.current))
     return np.array(parts)

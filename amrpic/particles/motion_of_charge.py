@@ -13,7 +13,10 @@ from .frame import Frame
 from .particles import Particles
 
 BLOCK = 1 << 13  # particles whose numbers stay in a cache
-PLACES = 16  # cells along each axis in which mean velocities are compared, a quarter of the rms size wide
+PLACES, EACH = (
+    16,
+    8,
+)  # cells along each axis for four rms sizes, in which mean velocities are compared: most, and particles in one
 
 
 @dataclass(frozen=True)
@@ -125,12 +128,13 @@ def noise(comm: MPI.Comm, particles: Particles, flow: Flow, axis: int) -> float:
 def left(comm: MPI.Comm, particles: Particles, frame: Frame) -> Left:
     """Return what is left of the motion of particles in a frame. Collective.
 
-    Mean velocities are those of the charge with its sign at places a quarter of the rms size wide, since currents make fields;
-    what they are by chance is taken away, with three standard deviations of it.
+    Mean velocities are those of the charge with its sign, since currents make fields, in cells of a quarter of the rms size, or
+    larger ones where particles are few. What they are by chance is taken away, with three standard deviations of it.
     """
     weighs, charge = charges(particles), particles.charge
-    centre, size = _extent(comm, particles, weighs)
-    sums, cells = np.zeros(4), np.zeros((5, PLACES**3))
+    centre, size, count = _extent(comm, particles, weighs)
+    places = min(max(round((count / EACH) ** (1 / 3)), 2), PLACES)
+    sums, cells = np.zeros(4), np.zeros((6, places**3))
     for run, u in _blocks(particles):
         across = 1 + sum(u[d] ** 2 for d in range(3) if d != frame.axis)
         own = np.arcsinh(u[frame.axis] / np.sqrt(across))
@@ -140,27 +144,33 @@ def left(comm: MPI.Comm, particles: Particles, frame: Frame) -> Left:
         beta[frame.axis] = np.tanh(y)
         weight = weighs[run] * np.cosh(y) / np.cosh(own)  # a length between charges is another one in each frame
         sums += *(beta**2 @ weight), weight.sum()
-        place = ((particles.position.T[:, run] - centre) / size * 4 + PLACES / 2).clip(0, PLACES - 1).astype(np.int64)
-        cell = (place[0] * PLACES + place[1]) * PLACES + place[2]
-        values = (*(weight * np.sign(charge[run]) * beta), weight, weight**2 * (beta**2).sum(axis=0))
+        place = (
+            ((particles.position.T[:, run] - centre) / size * places / 4 + places / 2)
+            .clip(0, places - 1)
+            .astype(np.int64)
+        )
+        cell = (place[0] * places + place[1]) * places + place[2]
+        square = weight**2
+        values = (*(weight * np.sign(charge[run]) * beta), weight, square * (beta**2).sum(axis=0), square)
         for k, value in enumerate(values):
-            cells[k] += np.bincount(cell, value, PLACES**3)
+            cells[k] += np.bincount(cell, value, places**3)
     sums, cells = comm.allreduce(sums), comm.allreduce(cells)
     total = sums[3]
     if not total > 0:
         return Left(np.zeros(3), 0.0)
     full = cells[:, cells[3] > 0]
     chance = full[4] / full[3]
-    square = ((full[:3] ** 2).sum(axis=0) / full[3] - chance).sum()
-    current = max(square - 3 * np.sqrt(2 * (chance**2).sum()), 0.0) / total
+    pairs = (full[3] - full[5] / full[3]).sum()  # of different particles: they alone tell of a mean
+    square = ((full[:3] ** 2).sum(axis=0) / full[3] - chance).sum() - 3 * np.sqrt(2 * (chance**2).sum())
+    current = max(square, 0.0) / pairs if pairs > 1e-9 * total else 0.0
     return Left(sums[:3] / total, float(current))
 
 
-def _extent(comm: MPI.Comm, particles: Particles, weighs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mean place and the rms size (3, 1) of charge, m. Collective."""
+def _extent(comm: MPI.Comm, particles: Particles, weighs: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+    """Return the mean place and the rms size (3, 1) of charge, m, and how many particles have any. Collective."""
     x = particles.position.T
-    total, *first = comm.allreduce(np.array([weighs.sum(), *(x @ weighs)]))
+    total, count, *first = comm.allreduce(np.array([weighs.sum(), (weighs > 0).sum(), *(x @ weighs)]))
     centre = np.array(first)[:, None] / total if total > 0 else np.zeros((3, 1))
     square = comm.allreduce((x - centre) ** 2 @ weighs)
     size = np.sqrt(square / total)[:, None] if total > 0 else np.zeros((3, 1))
-    return centre, np.where(size > 0, size, 1.0)
+    return centre, np.where(size > 0, size, 1.0), int(count)

@@ -10,6 +10,8 @@ from mpi4py import MPI
 
 import amrpic
 from amrpic.errors import InputError
+from amrpic.particles.frame import LABORATORY
+from amrpic.run.restart import _frames
 from amrpic.units import ELECTRON_MASS, SPEED_OF_LIGHT
 from amrpic.verify import moving_charges
 from amrpic.verify.sources import Gaussian
@@ -18,13 +20,16 @@ MC = ELECTRON_MASS * SPEED_OF_LIGHT
 LONG = ["1 mm", "1 mm", "10 mm"]
 
 
-def run(*bunches: dict[str, Any], comm: MPI.Comm = MPI.COMM_SELF, **motion: Any) -> amrpic.Simulation:
+def run(
+    *bunches: dict[str, Any], comm: MPI.Comm = MPI.COMM_SELF, boundary: Any = "open", **motion: Any
+) -> amrpic.Simulation:
     described = {"distribution": "gaussian", "sigma": LONG, "particles": 20000, "sampling": "halton"}
     return amrpic.Simulation(
         comm,
         amrpic.Scene.from_dict(
             {
-                "domain": {"lower": ["-8 mm", "-8 mm", "-50 mm"], "upper": ["8 mm", "8 mm", "50 mm"], "cells": 32},
+                "domain": {"lower": ["-8 mm", "-8 mm", "-50 mm"], "upper": ["8 mm", "8 mm", "50 mm"], "cells": 32}
+                | {"boundary": boundary},
                 "bunches": [{**described, **bunch} for bunch in bunches],
                 "motion": {"kind": "leapfrog", "dt": "5 ps", **motion},
                 "output": {"write": []},
@@ -192,6 +197,24 @@ def test_frames_are_the_same_on_any_ranks(comm):
     for mine, own in zip(together.state.solution.frames.members, alone.state.solution.frames.members, strict=True):
         assert mine.momentum == pytest.approx(own.momentum, rel=1e-12)
     assert together.state.solution.frames.error == pytest.approx(alone.state.solution.frames.error, rel=1e-6, abs=1e-12)
+
+
+def test_a_beam_that_is_slow_and_moves_towards_walls_is_solved_for_in_the_laboratory():
+    """Of 0.05 c: without its magnetic field, 0.25 % of the force."""
+    boundary = {"x": "open", "y": "open", "z": "dirichlet"}
+    slow = {"species": "electron", "charge": "-10 pC", "velocity": [0, 0, "0.05 c"]}
+    simulation = run(slow, boundary=boundary)
+    found = simulation.state.solution.frames
+    assert found.only == LABORATORY and found.error == pytest.approx(0.0025, rel=0.05) and not simulation.remarks
+
+
+def test_bins_of_an_older_checkpoint_lie_where_they_did():
+    """Between the same momenta: values of ±ln γ become rapidities."""
+    members = [{"axis": 2, "momentum": u} for u in (-3.0, 2.0, 5.0)]
+    edges = [float(np.copysign(np.log(np.hypot(1, u)), u)) for u in (-1.0, 3.0)]
+    found = _frames({"frames": {"members": members, "axis": 2, "edges": edges}})
+    assert np.sinh(found.edges) == pytest.approx([-1.0, 3.0], rel=1e-12)
+    assert [part[0].bin for part in found.of] == [0, 1, 2] and found.members[2].momentum == 5.0
 
 
 # ---- charge that cancels ----

@@ -261,7 +261,7 @@ def _by_current(
         if upper - lower <= WIDTH + 2 * CELL and min(upper, high) - max(lower, low) <= WIDTH:
             continue
         of = left(comm, _some(comm, part), Frame(axis, flow(comm, part, axis).momentum(axis)))
-        if of.current > CURRENT or of.square[axis] - np.delete(of.square, axis).mean() > WIDE:
+        if of.current[axis] > CURRENT or of.square[axis] - np.delete(of.square, axis).mean() > WIDE:
             inner += np.linspace(max(lower, low), min(upper, high), math.ceil((upper - lower) / WIDTH) + 1)[
                 1:-1
             ].tolist()
@@ -319,9 +319,13 @@ def error_of(motion: Left, frame: Frame) -> np.ndarray:
     """
     along, across = motion.square[frame.axis], np.delete(motion.square, frame.axis)
     alike, later = across.min(), max(map(abs, frame.beta)) ** 2
-    free = across.max() - (1 - later) * min(alike, along), max(along - motion.current - (1 - later) * alike, 0.0)
+    free = (
+        across.max() - (1 - later) * min(alike, along),
+        max(along - motion.current[frame.axis] - (1 - later) * alike, 0.0),
+    )
     parts = [FREE * square / (1 - square) for square in free]
-    parts[1] += max(motion.current, math.sqrt(along * motion.current))
+    flows = motion.current.sum()
+    parts[1] += max(flows, math.sqrt(along * flows))
     return np.array(parts)
 
 

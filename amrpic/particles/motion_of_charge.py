@@ -37,7 +37,7 @@ class Left:
     """What is left of motion in a frame, weighted by |w q| in it."""
 
     square: np.ndarray  # (3,) means of β_d²
-    current: float  # mean square of the mean velocity over c at a place, beyond the noise of the sample
+    current: np.ndarray  # (3,) mean square of the mean velocity over c at a place, beyond the noise of the sample
 
 
 def charges(particles: Particles) -> np.ndarray:
@@ -134,7 +134,7 @@ def left(comm: MPI.Comm, particles: Particles, frame: Frame) -> Left:
     weighs, charge = charges(particles), particles.charge
     centre, size, count = _extent(comm, particles, weighs)
     places = min(max(round((count / EACH) ** (1 / 3)), 2), PLACES)
-    sums, cells = np.zeros(4), np.zeros((6, places**3))
+    sums, cells = np.zeros(4), np.zeros((8, places**3))
     for run, u in _blocks(particles):
         across = 1 + sum(u[d] ** 2 for d in range(3) if d != frame.axis)
         own = np.arcsinh(u[frame.axis] / np.sqrt(across))
@@ -151,19 +151,19 @@ def left(comm: MPI.Comm, particles: Particles, frame: Frame) -> Left:
         )
         cell = (place[0] * places + place[1]) * places + place[2]
         square = weight**2
-        values = (*(weight * np.sign(charge[run]) * beta), weight, square * (beta**2).sum(axis=0), square)
+        values = (*(weight * np.sign(charge[run]) * beta), *(square * beta**2), weight, square)
         for k, value in enumerate(values):
             cells[k] += np.bincount(cell, value, places**3)
     sums, cells = comm.allreduce(sums), comm.allreduce(cells)
     total = sums[3]
     if not total > 0:
-        return Left(np.zeros(3), 0.0)
-    full = cells[:, cells[3] > 0]
-    chance = full[4] / full[3]
-    pairs = (full[3] - full[5] / full[3]).sum()  # of different particles: they alone tell of a mean
-    square = ((full[:3] ** 2).sum(axis=0) / full[3] - chance).sum() - 3 * np.sqrt(2 * (chance**2).sum())
-    current = max(square, 0.0) / pairs if pairs > 1e-9 * total else 0.0
-    return Left(sums[:3] / total, float(current))
+        return Left(np.zeros(3), np.zeros(3))
+    full = cells[:, cells[6] > 0]
+    chance = full[3:6] / full[6]
+    pairs = (full[6] - full[7] / full[6]).sum()  # of different particles: they alone tell of a mean
+    square = (full[:3] ** 2 / full[6] - chance).sum(axis=1) - 3 * np.sqrt(2 * (chance**2).sum(axis=1))
+    current = np.maximum(square, 0.0) / pairs if pairs > 1e-9 * total else np.zeros(3)
+    return Left(sums[:3] / total, current)
 
 
 def _extent(comm: MPI.Comm, particles: Particles, weighs: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:

@@ -156,7 +156,7 @@ def test_the_noise_of_a_mean_refuses_no_beam():
             flat(seed, count, energy_bins=4)
     for seed in range(3):
         with pytest.raises(InputError, match="off the z axis"):
-            flat(seed, 1000, 1.5)
+            flat(seed, 1000, 2.5)
 
 
 def test_dispersion_is_no_reason_to_refuse_a_beam():

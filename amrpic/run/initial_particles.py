@@ -15,10 +15,9 @@ from ..external import axes
 from ..io import openpmd_reader
 from ..io.vetting import require_readable_on_all
 from ..parallel import from_rank_0, share, together
-from ..particles.frame import LARGEST_MOMENTUM
 from ..particles.particles import Particles, concatenate
 from ..particles.phase_space import PhaseSpace
-from ..particles.species import Species, SpeciesTable
+from ..particles.species import LARGEST_MOMENTUM, Species, SpeciesTable
 from ..scene.bunch_files import ArrayBunch, MovedBunch, OpenPMDBunch
 from ..scene.bunches import Bunch, LatticeBunch, Train
 from ..scene.scene import Scene

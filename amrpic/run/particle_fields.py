@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from functools import cached_property
 
+from ..errors import SolverError
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
+from ..parallel import global_sum
 from ..particles.energy_bins import Frames
 from ..particles.frame import Frame
+from ..particles.motion_of_charge import charges
 from ..particles.particles import Particles
 from ..stages.deposit import Deposition, deposit
 from ..stages.migrate import migrate, shared_out_by_work
@@ -16,6 +19,8 @@ from ..stages.regrid import carry_over
 from ..stages.tag import count
 from .plan import Plan
 from .solution import Solution, superposed
+
+BALANCED = 1e-10  # share of the charge by which that of both signs may differ, as in the solver
 
 
 class ParticleFields:
@@ -59,12 +64,13 @@ class ParticleFields:
         if (only := frames.only) is not None:
             rho, guess = self.rho, self.guess
             with plan.clock("solve"):
-                phi, report = plan.solve(rho, guess, only, last=self._last_report(only))
+                phi, report = plan.solve(rho, guess, only, last=self._last_report(only), deposited=self._deposited)
                 efield = plan.poisson(self.hierarchy, only).deferred_field(phi, covered=plan.clouds.covered)
                 plan.compensate(efield, rho, only)
             before = self._before if plan.scene.extrapolates_potential else None
             return Solution(rho, phi, efield, report, frames, before=before, walls=plan.walls(self.hierarchy, frames))
         plan.go_without_compensation()
+        self._require_balance()
         known = self.known.parts if self.known is not None else ()
         guesses = [self._carried(part) for part in known] if len(known) == len(frames.members) else None
         parts = []
@@ -72,11 +78,25 @@ class ParticleFields:
             with plan.clock("deposit"):
                 rho = deposit(part, self.hierarchy, plan.clouds)
             with plan.clock("solve"):
-                phi, report = plan.solve(rho, guesses[number] if guesses else None, frame, walls=False)
-                efield = plan.poisson(self.hierarchy, frame).deferred_field(phi, covered=plan.clouds.covered)
+                phi, report = plan.solve(rho, guesses[number] if guesses else None, frame, part=True)
+                efield = plan.poisson(self.hierarchy, frame, part=True).deferred_field(phi, covered=plan.clouds.covered)
             parts.append((frame, phi, efield, report))
         with plan.clock("solve"):
             return superposed(self.rho, parts, frames, plan.walls(self.hierarchy, frames))
+
+    @cached_property
+    def _deposited(self) -> float:
+        """Σ |w q| in C where a net charge would have no solution, else 0. Collective."""
+        return global_sum(self.plan.comm, charges(self.particles).sum()) if self.plan.needs_balance else 0.0
+
+    def _require_balance(self) -> None:
+        """Raise SolverError on all ranks if charge that is solved for in parts has no potential as a whole. Collective."""
+        net = self.rho.integral() if self.plan.needs_balance else 0.0
+        if abs(net) > BALANCED * self._deposited:
+            raise SolverError(
+                f"all faces are periodic or Neumann, but the net charge is {net:.3g} C, which no potential can balance; make "
+                'it zero, ask for background = "neutralizing", or give one face a potential'
+            )
 
     @cached_property
     def phi(self) -> Field:

@@ -16,8 +16,9 @@ from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..parallel import from_rank_0, own
 from ..particles.clouds import EQUAL_PARTICLES, PAYING, Clouds, compensation_pays, matched_pays
-from ..particles.energy_bins import ONE_FRAME, Frames, frames_of, spread
-from ..particles.frame import FEW, LABORATORY, Frame
+from ..particles.energy_bins import ONE_FRAME, Frames, frames_of
+from ..particles.frame import LABORATORY, STATIC, Frame
+from ..particles.motion_of_charge import charges
 from ..particles.particles import Particles
 from ..scene.elements import MapElement
 from ..scene.motion import Leapfrog
@@ -28,6 +29,9 @@ from ..stages.gather import compensate
 from ..stages.poisson import PoissonSolver, SolveReport
 from .clock import Clock
 from .field_functions import FieldFunction, FieldFunctions
+
+FEW = 0.1  # share of the charge of a run that has no say in the frame any more where the frame of the rest does not fit it
+LARGE = 0.01  # estimated error of the self-field's force that draws a remark
 
 
 class Plan:
@@ -43,8 +47,9 @@ class Plan:
         self.long_for: set[str] = set()  # kinds of what `dt` was remarked to be long for
         self.notes: list[str] = []  # what the run chose by itself, for its log
         self.compensation_by_auto = False  # whether the run chose it by itself
+        self._told, self._warned = (1, 0.0), 0.0  # frames and error of the self-field that log and remarks have
         self._solves: list[SolveReport] = []
-        self._solvers: dict[Frame, PoissonSolver] = {}
+        self._solvers: dict[tuple[Frame, bool], PoissonSolver] = {}
         self.external = ExternalFields.of_scene(scene, self._maps())
         self.apertures = [native_aperture(aperture) for aperture in scene.apertures]
         self.fields = FieldFunctions(self.comm, fields)
@@ -87,17 +92,36 @@ class Plan:
                 "of their self-field, which is solved for as if they moved on as before"
             )
             return last
-        if anew and found.only is None:
-            self.note(
-                f"motion.energy_bins: {len(found.members)}; the rms of γ about its mean in them is "
-                f"{spread(self.comm, particles, found):.1%}, about half the error of the beam's force on itself"
-            )
+        if anew:
+            self._say_what_is_left(found)
         return found
+
+    def _say_what_is_left(self, frames: Frames) -> None:
+        """Note in how many frames the self-field is solved for and the estimated error, again where either grew by much."""
+        count, error = len(frames.members), frames.error
+        if (count > 1 or error > STATIC) and (count != self._told[0] or error > 2 * self._told[1]):
+            self._told = (count, max(error, STATIC))
+            self.note(
+                f"motion.energy_bins: {count} for the self-field; the motion that they leave out makes an error of about "
+                f"{error:.1%} of its force"
+            )
+        if error > max(LARGE, 2 * self._warned):
+            self._warned = error
+            motion = self.scene.motion
+            chosen = isinstance(motion, Leapfrog) and (motion.frame, motion.energy_bins) != ("auto", "auto")
+            if chosen and error > 2 * frames.across:
+                remedy = 'set motion.frame and motion.energy_bins to "auto"'
+            else:
+                remedy = "momenta of the charge in its own frame make it so; codes that solve Maxwell's equations follow them"
+            self.remark(
+                f"the self-field is solved for in {count} frame{'s' * (count > 1)} (motion.energy_bins), and its force may be "
+                f"off by about {error:.1%}; {remedy}"
+            )
 
     def _share_left(self, particles: Particles, lost: Particles | None) -> float:
         """Return the charge of particles over that of theirs and the lost ones together, without its sign. Collective."""
-        charges = [0.0 if some is None else some.weight @ np.abs(some.charge) for some in (particles, lost)]
-        left, gone = self.comm.allreduce(np.array(charges))
+        sums = [0.0 if some is None else charges(some).sum() for some in (particles, lost)]
+        left, gone = self.comm.allreduce(np.array(sums))
         return float(left / (left + gone)) if gone > 0 else 1.0
 
     def pusher(self, frames: Frames) -> str:
@@ -113,50 +137,61 @@ class Plan:
             return "higuera-cary"
         return motion.pusher
 
-    def poisson(self, hierarchy: Hierarchy, frame: Frame = LABORATORY) -> PoissonSolver:
-        """Return the solver of a hierarchy in a frame, set up at the first call. Collective."""
+    def poisson(self, hierarchy: Hierarchy, frame: Frame = LABORATORY, part: bool = False) -> PoissonSolver:
+        """Return the solver of a hierarchy in a frame, set up at the first call. Collective.
+
+        That of a part of the charge leaves the mean of it out where no wall fixes φ: those of all parts cancel.
+        """
         options = self.scene.solver
         if frame != LABORATORY:
             options = options.model_copy(update={"stretch": frame.stretch})
-        solver = self._solvers.get(frame)
+        solver = self._solvers.get((frame, part))
         if solver is not None and solver.hierarchy is hierarchy:
             return solver
         kept = solver.base_setup if solver is not None and options.reuse else None
         # the old operators go before the new ones come
         solver = None
         self._solvers = {of: made for of, made in self._solvers.items() if made.hierarchy is hierarchy}
-        self._solvers[frame] = PoissonSolver(
+        self._solvers[frame, part] = PoissonSolver(
             hierarchy,
             options=options,
-            background="neutralizing" if self.scene.background == "neutralizing" else None,
+            background="neutralizing" if part or self.scene.background == "neutralizing" else None,
             reuse=kept,
         )
-        return self._solvers[frame]
+        return self._solvers[frame, part]
+
+    @property
+    def needs_balance(self) -> bool:
+        """Whether a net charge has no potential."""
+        scene = self.scene
+        return scene.domain.value.singular and scene.solver.screening == 0 and scene.background == "none"
 
     def keep_solvers(self, frames: Frames) -> None:
         """Free the solvers of other frames."""
-        self._solvers = {of: made for of, made in self._solvers.items() if of in frames.members}
+        self._solvers = {of: made for of, made in self._solvers.items() if of[0] in frames.members}
 
     def solve(
         self,
         rho: Field,
         guess: Field | None,
         frame: Frame = LABORATORY,
-        walls: bool = True,
+        part: bool = False,
         last: SolveReport | None = None,
+        deposited: float = 0.0,
     ) -> tuple[Field, SolveReport]:
         """Return the potential of a charge density and how the solve went. Collective; SolverError if it does not converge.
 
-        It is that of the laboratory. What the walls hold counts in the laboratory's frame alone, and with `walls`. `last`: of
-        the solve in this frame and on this hierarchy that found the guess.
+        It is that of the laboratory. What the walls hold counts in the laboratory's frame alone, and not for a `part` of the
+        charge. `last`: of the solve in this frame and on this hierarchy that found the guess. `deposited`: Σ |w q|, C.
         """
-        at_rest = frame == LABORATORY and walls
-        phi, report = self.poisson(rho.hierarchy, frame).solve(
+        at_rest = frame == LABORATORY and not part
+        phi, report = self.poisson(rho.hierarchy, frame, part).solve(
             rho,
             guess=guess,
             boundary_values=self._potential if at_rest else None,
             boundary_flux=self._slope if at_rest else None,
             last=last,
+            deposited=deposited,
         )
         self._solves.append(report)
         self._require_converged(report)

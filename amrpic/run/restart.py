@@ -23,7 +23,7 @@ from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.window import Window
 from ..particles.arrays import repeated
-from ..particles.energy_bins import Frames
+from ..particles.energy_bins import Charge, Frames
 from ..particles.frame import Frame
 from ..particles.particles import Particles
 from ..particles.species import SpeciesTable
@@ -228,7 +228,12 @@ def _frames(extra: Mapping[str, Any]) -> Frames:
     if "frames" not in extra:
         return Frames((Frame(**extra.get("frame", {})),))
     held = extra["frames"]
-    return Frames(tuple(Frame(**member) for member in held["members"]), held["axis"], tuple(held["edges"]))
+    members = tuple(Frame(**member) for member in held["members"])
+    if "of" not in held:  # an older one, whose bins lie between values of ±ln γ of the motion along the axis
+        edges = tuple(math.copysign(math.acosh(math.exp(abs(edge))), edge) for edge in held["edges"])
+        return Frames(members, held["axis"], edges, tuple((Charge(bin),) for bin in range(len(members))))
+    of = tuple(tuple(Charge(*charge) for charge in part) for part in held["of"])
+    return Frames(members, held["axis"], tuple(held["edges"]), of, held["error"], held["across"], tuple(held["moves"]))
 
 
 def _records(held: Snapshot, species: SpeciesTable, domain: Domain) -> tuple[Record, Record]:

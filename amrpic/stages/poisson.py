@@ -117,6 +117,7 @@ class PoissonSolver:
         boundary_values: Function | None = None,
         boundary_flux: Function | None = None,
         last: SolveReport | None = None,
+        deposited: float = 0.0,
     ) -> tuple[Field, SolveReport]:
         """Return the potential in V and how the solve went. Collective.
 
@@ -124,7 +125,8 @@ class PoissonSolver:
         `boundary_values(x, y, z)` gives V on Dirichlet faces, `boundary_flux(x, y, z)` the outward derivative of φ in V/m on
         Neumann faces; both are called with arrays of face centres in m, and are zero by default. `last` is the report of the
         solve on this hierarchy that found the guess: its estimate of the error that the mesh makes serves nine further
-        solves, as long as the right-hand side is of about the same size, and these may take a single cycle.
+        solves, as long as the right-hand side is of about the same size, and these may take a single cycle. `deposited` is
+        the sum of the magnitudes of the charges that ρ was made of, C: rounding of these is no net charge.
 
         Check `report.converged`: an unconverged potential is returned as what it is. Raises SolverError for a charge that
         no potential can balance, for a right-hand side that is not finite, and for fields of another hierarchy.
@@ -139,7 +141,7 @@ class PoissonSolver:
         if phi.holds == "means":
             rho = self._in_means(rho)
         try:
-            report = self.native.solve(rho.native, phi.native, guess is None, _known(last))
+            report = self.native.solve(rho.native, phi.native, guess is None, _known(last), deposited)
         except _native.SolverError as refused:
             raise SolverError(str(refused)) from None
         mesh = report.mesh_error

@@ -113,7 +113,7 @@ void bind_solver(nb::module_& m) {
             new (self) PoissonSolver(std::move(hierarchy), options, reusable);
           },
           "hierarchy"_a, "options"_a, "reusable"_a)
-      .def("solve", &PoissonSolver::solve, "rho"_a, "phi"_a, "from_zero"_a, "known"_a,
+      .def("solve", &PoissonSolver::solve, "rho"_a, "phi"_a, "from_zero"_a, "known"_a, "deposited"_a,
            nb::call_guard<nb::gil_scoped_release>())
       .def("electric_field", &PoissonSolver::electric_field, "potential"_a, "covered"_a,
            nb::call_guard<nb::gil_scoped_release>())

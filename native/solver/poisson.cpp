@@ -80,19 +80,20 @@ void PoissonSolver::set_open_walls(Field const& rho) {
 }
 
 /// Where constants are in the null space, only a right-hand side without mean has a solution. Returns how large f may
-/// be by the rounding of what cancelled in it alone.
-Real PoissonSolver::remove_net_charge(Field const& rho) {
+/// be by the rounding of what cancelled in it alone. What cancelled in rho is at least `deposited` (C).
+Real PoissonSolver::remove_net_charge(Field const& rho, Real deposited) {
   constexpr Real balanced = 1e-10;  // fraction of all charge that sums over many cells and particles may miss
   constexpr Real last_digits = 4 * std::numeric_limits<Real>::epsilon();
   Real volume = 1;
   for (int d = 0; d < 3; ++d) volume *= hierarchy_->domain().upper[d] - hierarchy_->domain().lower[d];
-  auto const [net, magnitude] = backend_->integrate_right_hand_side();
+  Real const stretched_volume = options_.stretch[0] * options_.stretch[1] * options_.stretch[2];
+  auto const [net, left] = backend_->integrate_right_hand_side();
+  Real const magnitude = std::max(left, deposited / vacuum_permittivity * stretched_volume);
   Real const mean = net / volume;
   Real rounding = last_digits * magnitude / volume;
   if (!options_.neutralize && std::abs(net) > balanced * magnitude) {
     rounding = std::max(rounding, rounding_of_subtraction(rho) / vacuum_permittivity);
     if (std::abs(mean) > rounding) {
-      Real const stretched_volume = options_.stretch[0] * options_.stretch[1] * options_.stretch[2];
       throw SolverError("all faces are periodic or Neumann, but the net charge (with the flux through the walls) is " +
                         scientific(-net / stretched_volume * vacuum_permittivity) +
                         " C, which no potential can balance; make it zero, ask for background = \"neutralizing\", or "
@@ -256,7 +257,7 @@ bool PoissonSolver::below_discretisation(SolveReport& report, Real right_hand_si
   return factor < 0.9 && latest_correction_ * factor / (1 - factor) <= 0.1 * mesh.error;
 }
 
-SolveReport PoissonSolver::solve(Field const& rho, Field& phi, bool from_zero, MeshError const& known) {
+SolveReport PoissonSolver::solve(Field const& rho, Field& phi, bool from_zero, MeshError const& known, Real deposited) {
   SolveReport report;
   report.mesh_error = known;
   stopwatch_.reset();
@@ -264,7 +265,7 @@ SolveReport PoissonSolver::solve(Field const& rho, Field& phi, bool from_zero, M
   if (wall_plan_) stopwatch_.time("open boundary", [&] { set_open_walls(rho); });
   backend_->set_right_hand_side(rho);
   bool const singular = is_singular(hierarchy_->domain(), options_);
-  Real const rounding = singular ? remove_net_charge(rho) : 0;
+  Real const rounding = singular ? remove_net_charge(rho, deposited) : 0;
   iterate(report, phi, from_zero, rounding);
   backend_->finish();
   if (singular) fix_constant(phi);

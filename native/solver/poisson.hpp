@@ -50,9 +50,10 @@ class PoissonSolver {
   Walls& walls(int level) { return walls_[level]; }
 
   /// Fill phi (V) from rho (C/m^3), starting from what phi holds; `from_zero`: nothing but zeros. Covered cells of phi
-  /// hold the mean of their children. `known`: by the solve that found the first guess, on the same mesh. Throws
-  /// SolverError for a charge that no potential can balance. Collective.
-  SolveReport solve(Field const& rho, Field& phi, bool from_zero, MeshError const& known = {});
+  /// hold the mean of their children. `known`: by the solve that found the first guess, on the same mesh. `deposited`:
+  /// sum of the magnitudes of the charges whose density rho is, C. Throws SolverError for a charge that no potential
+  /// can balance. Collective.
+  SolveReport solve(Field const& rho, Field& phi, bool from_zero, MeshError const& known = {}, Real deposited = 0);
 
   /// E, -(1/s_d^2) d phi/dx_d (V/m); walls count with the data of the latest solve. The potential must stay as it is.
   /// Collective.
@@ -77,7 +78,7 @@ class PoissonSolver {
  private:
   void plan_open_walls();
   void set_open_walls(Field const& rho);
-  Real remove_net_charge(Field const& rho);
+  Real remove_net_charge(Field const& rho, Real deposited);
   bool is_finite(Field const& phi) const;
   void fix_constant(Field& phi) const;
   Real rounding_floor() const;

@@ -10,7 +10,8 @@ import pytest
 from mpi4py import MPI
 
 import amrpic
-from amrpic.particles.energy_bins import frames_of, signed_energy, spread
+from amrpic.particles.energy_bins import frames_of
+from amrpic.particles.motion_of_charge import left, rapidity
 from amrpic.units import ELECTRON_MASS, SPEED_OF_LIGHT
 
 MC = ELECTRON_MASS * SPEED_OF_LIGHT
@@ -53,7 +54,8 @@ def test_bins_are_as_many_as_the_energies_ask_for(comm):
     assert [round(member.momentum, 6) for member in two.members] == [3.0, 20.0]
     against = frames(scene([-3.0, 3.0]), comm)
     assert [round(member.momentum, 6) for member in against.members] == [-3.0, 3.0]
-    assert frames(scene([3.0, 20.0], bins=1), comm).only.momentum == pytest.approx(11.5)
+    mean = (3 / np.hypot(1, 3) + 20 / np.hypot(1, 20)) / 2  # velocity
+    assert frames(scene([3.0, 20.0], bins=1), comm).only.momentum == pytest.approx(mean / np.sqrt(1 - mean**2))
     slow = frames(scene([-0.005, 0.005]), comm)  # ± 0.005 c, for which one frame does
     assert slow.only is not None and slow.only.momentum == 0
     wide = scene([10.0], momentum_spread=[0, 0, 2.0 * MC])
@@ -62,15 +64,23 @@ def test_bins_are_as_many_as_the_energies_ask_for(comm):
     assert all(low.momentum < high.momentum for low, high in zip(many.members, many.members[1:], strict=False))
 
 
-def test_the_spread_within_bins_is_that_of_their_particles():
-    run = amrpic.Simulation(MPI.COMM_SELF, scene([10.0], momentum_spread=[0, 0, 2.0 * MC]))
+def test_no_charge_moves_in_its_frame_in_the_mean():
+    """And the mean square velocity left in it is that of a plain sum."""
+    run = amrpic.Simulation(MPI.COMM_SELF, scene([10.0], momentum_spread=[0.3 * MC, 0, 2.0 * MC]))
     particles, found = run.particles, run.state.solution.frames
-    values = signed_energy(particles, 2)
-    number = np.searchsorted(found.edges, values, side="right")
-    square = sum(np.sum((values[number == n] - values[number == n].mean()) ** 2) for n in range(len(found.members)))
-    assert spread(run.comm, particles, found) == pytest.approx(np.sqrt(square / len(values)), rel=1e-9)
+    u = particles.momentum / MC
+    number = np.searchsorted(found.edges, rapidity(particles, 2), side="right")
+    for n, (frame, part) in enumerate(zip(found.members, found.parts(particles), strict=True)):
+        own = u[number == n]
+        gamma = np.sqrt(1 + (own**2).sum(axis=1))
+        assert (own[:, 2] / gamma).mean() == pytest.approx(frame.beta[2], rel=1e-12)
+        energy = frame.gamma * (gamma - frame.beta[2] * own[:, 2])  # γ in the frame
+        across, along = own[:, 0] / energy, frame.gamma * (own[:, 2] - frame.beta[2] * gamma) / energy
+        weight = energy / gamma
+        square = [weight @ across**2 / weight.sum(), 0.0, weight @ along**2 / weight.sum()]
+        assert left(run.comm, part, frame).square == pytest.approx(square, rel=1e-9, abs=1e-20)
     one = frames_of(run.comm, particles, run.scene.domain.value, "auto", 1)
-    assert spread(run.comm, particles, one) > 2 * spread(run.comm, particles, found)
+    assert one.error - one.across > 2 * (found.error - found.across)
 
 
 @pytest.mark.mpi(ranks=3, more=(2, 4))

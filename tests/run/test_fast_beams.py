@@ -112,7 +112,7 @@ def test_restart_of_a_fast_beam_goes_on_bit_by_bit(comm, tmp_path):
     ("changes", "options", "said"),
     [
         (['motion.frame="lab"'], {"gamma": 1.1}, 'motion.frame is "lab", but the particles move with 0.417 c'),
-        ([], {"direction": (0.06, 0, 1), "gamma": 2.0}, "the mean momentum lies 0.06 rad off the z axis"),
+        ([], {"direction": (0.06, 0, 1), "gamma": 2.0}, "the mean velocity lies 0.06 rad off the z axis"),
         (['domain.boundary={x="open", y="open", z="dirichlet"}'], {}, "a face across the motion along z is dirichlet"),
     ],
 )

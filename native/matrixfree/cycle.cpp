@@ -93,7 +93,8 @@ Cycle::Cycle(Communicator const& comm, MultigridLevels multigrid, int max_grid_s
     int const deep = own.halo() + (!copies.empty() || !multigrid_.refines(l) ? 1 : 0);
     bool const thin = copies.empty() && !has_gaps[l] && has_thin_copies(*multigrid_.levels[l], rules);
     int const halo = thin ? 1 : std::max(deep, has_gaps[l] ? reach_in_gaps : 0);
-    level.swept = std::make_unique<SweptLevel>(comm, multigrid_.levels[l], rules, shift, own, halo);
+    level.swept = std::make_unique<SweptLevel>(comm, multigrid_.levels[l], rules, multigrid_.boundary, shift, own,
+                                               halo);
     if (l > 0)
       level.coarsening = std::make_unique<Coarsening>(
           comm, *level.swept, *levels_.back().swept, multigrid_.ratio[l],
@@ -104,7 +105,7 @@ Cycle::Cycle(Communicator const& comm, MultigridLevels multigrid, int max_grid_s
                        },
                        last_children_of(multigrid_, l),
                        seam_widths(multigrid_.levels[l - 1]->periodic(), multigrid_.upper[l - 1])});
-    level.local = make_local_cycle(comm, *level.swept, copies, shift, relaxation);
+    level.local = make_local_cycle(comm, *level.swept, copies, multigrid_.boundary, shift, relaxation);
     levels_.push_back(std::move(level));
   }
   Level const& coarsest = *multigrid_.levels.front();

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -78,11 +79,12 @@ class PoissonSolver {
   void plan_open_walls();
   void set_open_walls(Field const& rho);
   Real remove_net_charge(Field const& rho);
+  Real volume() const;
   bool is_finite(Field const& phi) const;
-  void fix_constant(Field& phi) const;
+  void set_mean(Field& phi, Real mean) const;
   Real rounding_floor() const;
   void check_size(Real right_hand_side) const;
-  void iterate(SolveReport& report, Field& phi, bool from_zero, Real rounding);
+  void iterate(SolveReport& report, Field& phi, bool from_zero, Real rounding, std::optional<Real> mean);
   bool is_slow(std::vector<Real> const& residuals) const;
   bool below_discretisation(SolveReport& report, Real right_hand_side);
 

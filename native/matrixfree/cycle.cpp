@@ -108,13 +108,14 @@ Cycle::Cycle(Communicator const& comm, MultigridLevels multigrid, int max_grid_s
     level.local = make_local_cycle(comm, *level.swept, copies, multigrid_.boundary, shift, relaxation);
     levels_.push_back(std::move(level));
   }
-  Level const& coarsest = *multigrid_.levels.front();
+  Level const &coarsest = *multigrid_.levels.front(), &base = *multigrid_.levels[multigrid_.base];
   Box const& box = coarsest.domain();
   Equation const equation = scaled(multigrid_.equation(0), levels_[0].swept->scale());
   GhostRules const rules = ghost_rules_of(multigrid_, open_walls, 0);
   direct_ = std::make_unique<FastDiagonalisation>(Index3{box.extent(0), box.extent(1), box.extent(2)}, equation,
                                                   walls_of_coarsest(multigrid_, rules), coarsest.periodic(),
-                                                  rules.seam_width);
+                                                  rules.seam_width,
+                                                  is_mean_left_free(base, multigrid_.boundary, shift));
 }
 
 void Cycle::run() {

@@ -39,4 +39,12 @@ inline bool is_nearly_free(Level const& level, Faces const& boundary, Real shift
   return equation_on(level.spacing(), shift).diagonal() > most * smallest_eigenvalue(level, boundary, shift);
 }
 
+/// Whether the mean of phi is left to the sum over all cells, in which fluxes cancel: where nothing holds it, or screening
+/// alone, and that weakly.
+inline bool is_mean_left_free(Level const& level, Faces const& boundary, Real shift) {
+  for (auto const& ends : boundary)
+    if (!is_closed(ends)) return false;
+  return shift == 0 || is_nearly_free(level, boundary, shift);
+}
+
 }  // namespace amrpic

@@ -26,9 +26,6 @@ std::string scientific(Real value) {
   return out.str();
 }
 
-constexpr char const* of_nothing_held =
-    " of the right-hand side: walls and screening hold the potential too weakly for the digits of double precision";
-
 }  // namespace
 
 PoissonSolver::PoissonSolver(std::shared_ptr<Hierarchy const> hierarchy, SolverOptions const& options,
@@ -90,16 +87,16 @@ Real PoissonSolver::volume() const {
   return out;
 }
 
-/// Where constants are in the null space, only a right-hand side without mean has a solution. Returns how large f may
-/// be by the rounding of what cancelled in it alone.
-Real PoissonSolver::remove_net_charge(Field const& rho) {
+/// Where constants are in the null space, only a right-hand side without mean has a solution; where screening holds them,
+/// that mean is kappa^2 times the one of phi.
+PoissonSolver::Removed PoissonSolver::remove_net_charge(Field const& rho) {
   constexpr Real balanced = 1e-10;  // fraction of all charge that sums over many cells and particles may miss
   constexpr Real last_digits = 4 * std::numeric_limits<Real>::epsilon();
   Real const volume = this->volume();
   auto const [net, magnitude] = backend_->integrate_right_hand_side();
   Real const mean = net / volume;
   Real rounding = last_digits * magnitude / volume;
-  if (!options_.neutralize && std::abs(net) > balanced * magnitude) {
+  if (options_.screening == 0 && !options_.neutralize && std::abs(net) > balanced * magnitude) {
     rounding = std::max(rounding, rounding_of_subtraction(rho) / vacuum_permittivity);
     if (std::abs(mean) > rounding) {
       Real const stretched_volume = options_.stretch[0] * options_.stretch[1] * options_.stretch[2];
@@ -113,7 +110,7 @@ Real PoissonSolver::remove_net_charge(Field const& rho) {
   // stop the residual where little else remains, as between two swings of a plasma.
   backend_->take_away({mean, 0});
   backend_->take_away({mean, backend_->integrate_right_hand_side().net / volume});
-  return rounding;
+  return {mean, rounding};
 }
 
 /// Whether all values on all ranks are finite. Collective.
@@ -164,26 +161,38 @@ Real PoissonSolver::rounding_floor() const {
   return std::numeric_limits<Real>::epsilon() * backend_->largest_phi_term();
 }
 
-/// `mean`: of phi, where it is known.
-void PoissonSolver::iterate(SolveReport& report, Field& phi, bool from_zero, Real rounding, std::optional<Real> mean) {
+/// Give phi its mean, which screening alone holds: that of f over kappa^2. Rounded, its values then leave a residual that no cycle reduces.
+void PoissonSolver::add_mean(SolveReport& report, Field& phi, Real of_right_hand_side, Real largest) const {
+  Real const shift = shift_of(options_), mean = -of_right_hand_side / shift;
+  set_mean(phi, mean);
+  Real const size = std::max(std::abs(of_right_hand_side), largest);
+  if (size == 0) return;
+  Equation const finest = equation_on(hierarchy_->level(hierarchy_->level_count() - 1).spacing(), shift);
+  Real const left = std::numeric_limits<Real>::epsilon() * finest.diagonal() * std::abs(mean) / size;
+  if (left <= std::max(options_.tolerance, report.floor)) return;
+  report.floor = left;
+  report.reason += "; the mean of phi is so large that rounding leaves " + scientific(left) + " of the right-hand side";
+  if (left <= 1) return;
+  report.converged = false;
+  report.reason += ", and nothing is known of differences between neighbours: screening is too weak for double precision";
+}
+
+/// `largest`: magnitude of f; `rounding`: see Removed.
+void PoissonSolver::iterate(SolveReport& report, Field& phi, bool from_zero, Real largest, Real rounding) {
   auto finish = [&](bool converged, std::string reason) {
     report.converged = converged;
     report.reason = std::move(reason);
   };
-  auto start = [&](bool is_zero) {
-    if (mean) set_mean(phi, *mean);
-    backend_->start(phi, is_zero && !mean);
-  };
   auto start_from_zero = [&] {
     for (int l = 0; l < hierarchy_->level_count(); ++l) std::fill(phi.level(l).begin(), phi.level(l).end(), 0.0);
-    start(true);
+    backend_->start(phi, true);
   };
-  Real const largest = backend_->largest_right_hand_side();
   if (largest <= rounding) {
     start_from_zero();
     report.residuals.push_back(0);
-    return finish(true, largest == 0 ? "the right-hand side is zero"
-                                     : "the charge is uniform to rounding, so the potential is zero");
+    return finish(true, options_.screening > 0 && rounding > 0 ? "the charge is uniform to rounding, and so is the potential"
+                        : largest == 0 ? "the right-hand side is zero"
+                                       : "the charge is uniform to rounding, so the potential is zero");
   }
   check_size(largest);
   Real const size = backend_->right_hand_side_norm();
@@ -192,7 +201,7 @@ void PoissonSolver::iterate(SolveReport& report, Field& phi, bool from_zero, Rea
     ++report.mesh_error.solves;
   else
     report.mesh_error = {};
-  start(from_zero);
+  backend_->start(phi, from_zero);
   constexpr Real hopeless = 1e10;  // residual of a guess that is of another order of magnitude than the answer
   // Cycles in a row that hardly moved the residual; since it was last well below all before; and that lowest one.
   int stuck = 0, since_lowest = 0;
@@ -227,7 +236,8 @@ void PoissonSolver::iterate(SolveReport& report, Field& phi, bool from_zero, Rea
       if (residual <= 10 * floor) {
         report.floor = floor;
         if (floor > 1)
-          return finish(false, "rounding alone leaves " + scientific(floor) + of_nothing_held);
+          return finish(false, "rounding alone leaves " + scientific(floor) +
+                                   " of the right-hand side: the walls hold the potential too weakly for double precision");
         return finish(true, "rounding floor of about " + scientific(floor) + " reached");
       }
     }
@@ -282,20 +292,17 @@ SolveReport PoissonSolver::solve(Field const& rho, Field& phi, bool from_zero, M
   backend_->stopwatch().reset();
   if (wall_plan_) stopwatch_.time("open boundary", [&] { set_open_walls(rho); });
   backend_->set_right_hand_side(rho);
-  Domain const& domain = hierarchy_->domain();
-  bool const singular = is_singular(domain, options_);
-  Real const rounding = singular ? remove_net_charge(rho) : 0;
-  // Fluxes cancel in the sum over all cells: where screening alone holds the mean of phi, and weakly, it is that of f
-  // over kappa^2, to all digits, of which cycles would lose most.
-  Real const shift = shift_of(options_);
-  std::optional<Real> mean;
-  if (singular)
-    mean = 0;
-  else if (domain.singular() && is_nearly_free(hierarchy_->level(0), domain.boundary, shift))
-    mean = -backend_->integrate_right_hand_side().net / volume() / shift;
-  iterate(report, phi, from_zero, rounding, singular ? std::nullopt : mean);
+  Removed removed{0, 0};
+  bool const leaves_mean =
+      is_mean_left_free(hierarchy_->level(0), hierarchy_->domain().boundary, shift_of(options_));
+  if (leaves_mean) {
+    removed = remove_net_charge(rho);
+    if (!from_zero && options_.screening > 0) set_mean(phi, 0);
+  }
+  Real const largest = backend_->largest_right_hand_side();
+  iterate(report, phi, from_zero, largest, removed.rounding);
   backend_->finish();
-  if (mean) set_mean(phi, *mean);
+  if (leaves_mean) options_.screening > 0 ? add_mean(report, phi, removed.mean, largest) : set_mean(phi, 0);
   report.seconds = stopwatch_.seconds();
   for (auto const& [stage, seconds] : backend_->stopwatch().seconds()) report.seconds[stage] = seconds;
   return report;

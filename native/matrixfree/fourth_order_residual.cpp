@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <type_traits>
 
 #include "base/fetch.hpp"
 #include "base/lanes.hpp"
@@ -45,7 +46,7 @@ void run(Formula const& formula, int count, Real const* c, Rows const& y, Rows c
   fetch<Use::read>(zpp + page<Real>, count);
   auto const find = [&](auto differences) {
     for (int i = 0; i < count; ++i) {
-      auto const pair = [here = c[i]](Real below, Real above) {
+      auto const pair = [differences, here = c[i]](Real below, Real above) {
         return differences() ? (below - here) + (above - here) : below + above;
       };
       out[i] = f.find<differences()>(rho[i], c[i], across(pair(c[i - 1], c[i + 1]), pair(c[i - 2], c[i + 2])),

@@ -54,6 +54,16 @@ bool has_thin_copies(Level const& level, GhostRules const& rules) {
 
 constexpr GlobalIndex whole_on_all_ranks = 10000;  ///< cells of a level; relaxing so few costs less than messages
 
+/// Whether the coarsest level leaves the mean as it is: nothing holds it, or screening so weakly that it would be made of
+/// what single precision rounds. What sweeps change of it adds next to nothing to the residual beside other errors, or
+/// double precision has no digits for it.
+bool leaves_mean(MultigridLevels const& multigrid) {
+  Real const of_others = smallest_eigenvalue(*multigrid.levels[multigrid.base], multigrid.boundary, 0);
+  bool const is_free = std::all_of(multigrid.boundary.begin(), multigrid.boundary.end(), is_closed);
+  return is_free &&
+         multigrid.shift < std::max(1e-10 * of_others, 1e-15 * multigrid.equation(multigrid.base).diagonal());
+}
+
 /// Walls of the coarsest level, with the open ones where corrections vanish behind the middle of each face.
 WallGhosts walls_of_coarsest(MultigridLevels const& multigrid, GhostRules const& rules) {
   WallGhosts out = rules.walls;
@@ -108,14 +118,14 @@ Cycle::Cycle(Communicator const& comm, MultigridLevels multigrid, int max_grid_s
     level.local = make_local_cycle(comm, *level.swept, copies, multigrid_.boundary, shift, relaxation);
     levels_.push_back(std::move(level));
   }
-  Level const &coarsest = *multigrid_.levels.front(), &base = *multigrid_.levels[multigrid_.base];
+  Level const& coarsest = *multigrid_.levels.front();
   Box const& box = coarsest.domain();
   Equation const equation = scaled(multigrid_.equation(0), levels_[0].swept->scale());
   GhostRules const rules = ghost_rules_of(multigrid_, open_walls, 0);
   direct_ = std::make_unique<FastDiagonalisation>(Index3{box.extent(0), box.extent(1), box.extent(2)}, equation,
                                                   walls_of_coarsest(multigrid_, rules), coarsest.periodic(),
                                                   rules.seam_width,
-                                                  is_mean_left_free(base, multigrid_.boundary, shift));
+                                                  leaves_mean(multigrid_));
 }
 
 void Cycle::run() {

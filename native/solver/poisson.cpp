@@ -171,10 +171,12 @@ void PoissonSolver::add_mean(SolveReport& report, Field& phi, Real of_right_hand
   Real const left = std::numeric_limits<Real>::epsilon() * finest.diagonal() * std::abs(mean) / size;
   if (left <= std::max(options_.tolerance, report.floor)) return;
   report.floor = left;
-  report.reason += "; the mean of phi is so large that rounding leaves " + scientific(left) + " of the right-hand side";
+  std::string const of_mean = "rounding the mean of phi, which screening alone holds, leaves " + scientific(left) +
+                              " of the right-hand side";
+  report.reason += "; " + of_mean;
   if (left <= 1) return;
   report.converged = false;
-  report.reason += ", and nothing is known of differences between neighbours: screening is too weak for double precision";
+  report.reason = of_mean + ": it is too large for double precision to hold differences between neighbours";
 }
 
 /// `largest`: magnitude of f; `rounding`: see Removed.

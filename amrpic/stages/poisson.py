@@ -46,7 +46,9 @@ class SolveReport:
         """What may help a solve that did not converge."""
         residuals = self.residuals
         if self.floor > 0:
-            return "no other option of the solver helps: give a face a potential, a shorter domain or a stronger screening"
+            return (
+                "no other option of the solver helps: give a face a potential, a shorter domain or a stronger screening"
+            )
         if len(residuals) > 2 and residuals[-1] < 0.5 * min(residuals[: (len(residuals) + 1) // 2]):
             return "raise solver.tolerance or solver.max_cycles"
         if residuals and residuals[-1] < 0.1:

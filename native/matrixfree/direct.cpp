@@ -9,8 +9,7 @@ extern "C" void dsyev_(char const* vectors, char const* triangle, int const* n, 
 namespace amrpic::matrixfree {
 
 FastDiagonalisation::FastDiagonalisation(Index3 const& cells, Equation const& equation, WallGhosts const& walls,
-                                         std::array<bool, 3> const& periodic, Real3 const& seam_width,
-                                         bool leaves_mean)
+                                         std::array<bool, 3> const& periodic, Real3 const& seam_width, bool leaves_mean)
     : cells_(cells), shift_(equation.shift), leaves_mean_(leaves_mean) {
   for (int d = 0; d < 3; ++d) axes_[d] = axis(cells[d], equation.weight[d], walls[d], periodic[d], seam_width[d]);
 }

@@ -112,7 +112,7 @@ void Stencil::add_rows(BlockStencil& out, Layout const& layout, CellBlock const&
         row.beside[std::size_t(2 * (axis - 1) + side)] =
             inside ? std::int32_t(block.cells.place(0, j, k) + (side == 0 ? -pitch : pitch))
                    : compose(out, &ghosts[axis][side][std::size_t(t) * nx], nx, block.cells.place(0, j, k),
-                               layout.zero_row());
+                             layout.zero_row());
       };
       beside(1, 0, j > 0, k);
       beside(1, 1, j + 1 < ny, k);

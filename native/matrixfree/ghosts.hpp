@@ -83,8 +83,8 @@ class Stencil {
   }
   Vector const& coefficients() const { return pool_; }
 
-  /// Whether residuals are taken of differences between neighbours, see `is_nearly_free`: the sum over neighbours less d
-  /// e is then that over the differences to them less `held` times e.
+  /// Whether residuals are taken of differences between neighbours, see `is_nearly_free`: the sum over neighbours less
+  /// d e is then that over the differences to them less `held` times e.
   bool in_differences() const { return in_differences_; }
   float const* held(std::int32_t start, std::ptrdiff_t pitch) const { return diagonal(start) + held_place * pitch; }
   static constexpr int held_place = 3;  ///< among the vectors of a row's coefficients

@@ -52,8 +52,8 @@ Real LocalCycle::relaxed_cells() const {
 }
 
 std::unique_ptr<LocalCycle> make_local_cycle(Communicator const& comm, SweptLevel& fine,
-                                             std::vector<LevelCopy> const& copies, Faces const& boundary,
-                                             Real shift, Relaxation const& relaxation) {
+                                             std::vector<LevelCopy> const& copies, Faces const& boundary, Real shift,
+                                             Relaxation const& relaxation) {
   std::unique_ptr<LocalCycle> first;
   std::unique_ptr<LocalCycle>* place = &first;
   SweptLevel* above = &fine;

@@ -46,7 +46,7 @@ class LocalCycle {
 
 /// The local cycle of a refinement level over its copies; null without any. Collective.
 std::unique_ptr<LocalCycle> make_local_cycle(Communicator const& comm, SweptLevel& fine,
-                                             std::vector<LevelCopy> const& copies, Faces const& boundary,
-                                             Real shift, Relaxation const& relaxation);
+                                             std::vector<LevelCopy> const& copies, Faces const& boundary, Real shift,
+                                             Relaxation const& relaxation);
 
 }  // namespace amrpic::matrixfree

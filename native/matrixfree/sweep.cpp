@@ -44,8 +44,7 @@ DifferenceRow Sweep::in_differences(std::size_t block, RowStencil const& stencil
   DifferenceRow out{row, {}, last + 1};
   for (std::size_t side = 0; side < 4; ++side) {
     bool const is_composed = stencil.beside[side] < 0;
-    if (is_composed)
-      out.beside[side] = composed(stencil_.block(block), stencil.beside[side], e, buffer_[side], true);
+    if (is_composed) out.beside[side] = composed(stencil_.block(block), stencil.beside[side], e, buffer_[side], true);
     out.less[side] = is_composed || row.beside[side] == zeros ? zeros : row.here;
   }
   out.left = stencil.factor[0] * (e[stencil.end[0]] - row.here[0]);

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <stdexcept>
 
-
 namespace amrpic::matrixfree {
 
 namespace {

@@ -31,16 +31,16 @@ inline Real smallest_eigenvalue(Level const& level, Faces const& boundary, Real 
 
 /// Whether single precision does not see what the equation says of the smoothest potential that it holds.
 ///
-/// Rounded, a potential that is large beside its differences leaves a residual of epsilon times the diagonal. If that is
-/// summed over cells and taken for a right-hand side of the smoothest potential, what comes of it is larger by the
+/// Rounded, a potential that is large beside its differences leaves a residual of epsilon times the diagonal. If that
+/// is summed over cells and taken for a right-hand side of the smoothest potential, what comes of it is larger by the
 /// diagonal over the smallest eigenvalue. Differences between neighbours, which are exact, do not have that part.
 inline bool is_nearly_free(Level const& level, Faces const& boundary, Real shift) {
   constexpr Real most = 1e5;
   return equation_on(level.spacing(), shift).diagonal() > most * smallest_eigenvalue(level, boundary, shift);
 }
 
-/// Whether the mean of phi is left to the sum over all cells, in which fluxes cancel: where nothing holds it, or screening
-/// alone, and that weakly.
+/// Whether the mean of phi is left to the sum over all cells, in which fluxes cancel: where nothing holds it, or
+/// screening alone, and that weakly.
 inline bool is_mean_left_free(Level const& level, Faces const& boundary, Real shift) {
   for (auto const& ends : boundary)
     if (!is_closed(ends)) return false;

@@ -6,8 +6,8 @@
 namespace amrpic {
 
 #if defined(__x86_64__)
-/// Whether vectors of 512 bits gain nothing: the clock falls by as much as they are wider. Measured on Cascade Lake; compilers
-/// prefer 256 bits on the same three.
+/// Whether vectors of 512 bits gain nothing: the clock falls by as much as they are wider. Measured on Cascade Lake;
+/// compilers prefer 256 bits on the same three.
 inline bool slowed_by_wide_vectors() {
   return __builtin_cpu_is("skylake-avx512") || __builtin_cpu_is("cascadelake") || __builtin_cpu_is("cooperlake");
 }

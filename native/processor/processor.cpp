@@ -23,7 +23,8 @@ PyObject* sets(PyObject*, PyObject*) {
 PyObject* slowed_by_wide_vectors(PyObject*, PyObject*) { return PyBool_FromLong(amrpic::slowed_by_wide_vectors()); }
 
 PyMethodDef methods[] = {
-    {"sets", sets, METH_NOARGS, "Those of the x86-64 instruction sets v4, v3, v2 that this processor has, fastest first."},
+    {"sets", sets, METH_NOARGS,
+     "Those of the x86-64 instruction sets v4, v3, v2 that this processor has, fastest first."},
     {"slowed_by_wide_vectors", slowed_by_wide_vectors, METH_NOARGS, "Whether v4 is no faster than v3 here."},
     {nullptr, nullptr, 0, nullptr}};
 

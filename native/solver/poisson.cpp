@@ -87,8 +87,8 @@ Real PoissonSolver::volume() const {
   return out;
 }
 
-/// Where constants are in the null space, only a right-hand side without mean has a solution; where screening holds them,
-/// that mean is kappa^2 times the one of phi.
+/// Where constants are in the null space, only a right-hand side without mean has a solution; where screening holds
+/// them, that mean is kappa^2 times the one of phi.
 PoissonSolver::Removed PoissonSolver::remove_net_charge(Field const& rho) {
   constexpr Real balanced = 1e-10;  // fraction of all charge that sums over many cells and particles may miss
   constexpr Real last_digits = 4 * std::numeric_limits<Real>::epsilon();
@@ -161,7 +161,8 @@ Real PoissonSolver::rounding_floor() const {
   return std::numeric_limits<Real>::epsilon() * backend_->largest_phi_term();
 }
 
-/// Give phi its mean, which screening alone holds: that of f over kappa^2. Rounded, its values then leave a residual that no cycle reduces.
+/// Give phi its mean, which screening alone holds: that of f over kappa^2. Rounded, its values then leave a residual
+/// that no cycle reduces.
 void PoissonSolver::add_mean(SolveReport& report, Field& phi, Real of_right_hand_side, Real largest) const {
   Real const shift = shift_of(options_), mean = -of_right_hand_side / shift;
   set_mean(phi, mean);
@@ -171,8 +172,8 @@ void PoissonSolver::add_mean(SolveReport& report, Field& phi, Real of_right_hand
   Real const left = std::numeric_limits<Real>::epsilon() * finest.diagonal() * std::abs(mean) / size;
   if (left <= std::max(options_.tolerance, report.floor)) return;
   report.floor = left;
-  std::string const of_mean = "rounding the mean of phi, which screening alone holds, leaves " + scientific(left) +
-                              " of the right-hand side";
+  std::string const of_mean =
+      "rounding the mean of phi, which screening alone holds, leaves " + scientific(left) + " of the right-hand side";
   report.reason += "; " + of_mean;
   if (left <= 1) return;
   report.converged = false;
@@ -192,7 +193,8 @@ void PoissonSolver::iterate(SolveReport& report, Field& phi, bool from_zero, Rea
   if (largest <= rounding) {
     start_from_zero();
     report.residuals.push_back(0);
-    return finish(true, options_.screening > 0 && rounding > 0 ? "the charge is uniform to rounding, and so is the potential"
+    return finish(true, options_.screening > 0 && rounding > 0
+                            ? "the charge is uniform to rounding, and so is the potential"
                         : largest == 0 ? "the right-hand side is zero"
                                        : "the charge is uniform to rounding, so the potential is zero");
   }
@@ -238,8 +240,9 @@ void PoissonSolver::iterate(SolveReport& report, Field& phi, bool from_zero, Rea
       if (residual <= 10 * floor) {
         report.floor = floor;
         if (floor > 1)
-          return finish(false, "rounding alone leaves " + scientific(floor) +
-                                   " of the right-hand side: the walls hold the potential too weakly for double precision");
+          return finish(false,
+                        "rounding alone leaves " + scientific(floor) +
+                            " of the right-hand side: the walls hold the potential too weakly for double precision");
         return finish(true, "rounding floor of about " + scientific(floor) + " reached");
       }
     }
@@ -295,8 +298,7 @@ SolveReport PoissonSolver::solve(Field const& rho, Field& phi, bool from_zero, M
   if (wall_plan_) stopwatch_.time("open boundary", [&] { set_open_walls(rho); });
   backend_->set_right_hand_side(rho);
   Removed removed{0, 0};
-  bool const leaves_mean =
-      is_mean_left_free(hierarchy_->level(0), hierarchy_->domain().boundary, shift_of(options_));
+  bool const leaves_mean = is_mean_left_free(hierarchy_->level(0), hierarchy_->domain().boundary, shift_of(options_));
   if (leaves_mean) {
     removed = remove_net_charge(rho);
     if (!from_zero && options_.screening > 0) set_mean(phi, 0);

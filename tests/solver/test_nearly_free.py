@@ -1,7 +1,7 @@
 """Potentials that little holds: long domains, long cells and weak screening between Neumann or periodic faces.
 
-Right is what a sum in one dimension gives, or the mean of the charge over κ². In single precision, in which cycles correct, such a
-potential was lost: the smoothest one is 1e5 to 1e14 times softer than one that oscillates from cell to cell.
+Right is what a sum in one dimension gives, or the mean of the charge over κ². In single precision, in which cycles correct,
+such a potential was lost: the smoothest one is 1e5 to 1e14 times softer than one that oscillates from cell to cell.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ ALONG_Z = {"x": "periodic", "y": "neumann", "z": ("dirichlet", "neumann")}
 
 
 def solved_along_z(density: np.ndarray, width: float) -> np.ndarray:
-    """φ in cells of a width along z, constant across, between a grounded plate and a symmetry plane: the flux through each face is
-    the charge beyond it, and the parabola through the plate has 3 φ₁ − φ₂/3 for φ₁ and its ghost."""
+    """φ in cells of a width along z, constant across, between a grounded plate and a symmetry plane: the flux through each face
+    is the charge beyond it, and that through the plate 3 φ₁ − φ₂/3 over the width, by the parabola."""
     flux = np.cumsum(density[::-1])[::-1] * width / epsilon_0  # through the lower face of each cell
     rises = flux[1:] * width
-    first = (flux[0] * width + rises[0] / 3) / (8 / 3)  # (3 + 0) φ₁ − φ₂/3 = flux h, with φ₂ = φ₁ + rise
+    first = (flux[0] * width + rises[0] / 3) / (8 / 3)
     return first + np.concatenate([[0.0], np.cumsum(rises)])
 
 

@@ -43,6 +43,7 @@ SMALL_BLOCKS, GAP_CYCLES = 4, 4
 # 168 fine cells, 40 bytes each.
 BYTES_PER_CELL, BYTES_PER_BOX, BYTES_PER_FIT, BYTES_FREE = 100, 4000, 168 * 40, 100e6
 BYTES_OF_ACCELERATION = 128  # per cell
+BYTES_PER_ROW = 4000  # of a domain a few cells wide and long: rows are padded, and each has neighbours and coefficients
 
 # Refusals that are documented: of cells for which there is no method or no memory.
 REFUSALS = (
@@ -173,7 +174,10 @@ def judge(case: Case, found: Outcome, plain: Outcome) -> tuple[list[Failure], fl
         boxes = outcome.boxes * (2 if case.levels and case.aspect_ratio > 1.8 else 1)
         solved = case.plain() if name else case
         fits = solved.most_fits_in_gaps if case.blocking_factor <= SMALL_BLOCKS else 0
-        most = per_cell * outcome.cells + BYTES_PER_BOX * boxes + BYTES_PER_FIT * fits + BYTES_FREE
+        rows = outcome.cells // case.cells[0] if max(case.cells) > 256 else 0
+        most = (
+            per_cell * outcome.cells + BYTES_PER_BOX * boxes + BYTES_PER_FIT * fits + BYTES_PER_ROW * rows + BYTES_FREE
+        )
         if matrix_free and outcome.growth > most:
             fail("memory", f"{name}{outcome.growth / 1e6:.0f} MB for {outcome.cells} cells, at most {most / 1e6:.0f}")
     # Compressed rows may take fewer. Around an odd number of cells they relax the last ones as colours of their own; what is

@@ -111,7 +111,19 @@ def draw_nearly_free(rng: np.random.Generator, size: Size) -> Case:
     boxes = max(blocking, int(rng.choice([blocking, 6, 8, 12, 14, 16, 24, 32, 64])), max(cells) // 256)
     ranks, source = int(rng.integers(1, 5)), draw_source(rng)
     return Case(
-        cells, spacing, boundary, levels, blocking, stretch, source, guess, boxes, ranks, backend, "", float(f"{screening:.3g}")
+        cells,
+        spacing,
+        boundary,
+        levels,
+        blocking,
+        stretch,
+        source,
+        guess,
+        boxes,
+        ranks,
+        backend,
+        "",
+        float(f"{screening:.3g}"),
     )  # type: ignore[arg-type]
 
 

@@ -22,7 +22,7 @@ inline Real smallest_eigenvalue(Level const& level, Faces const& boundary, Real 
     int const walls = is_wall(boundary[d][0]) + is_wall(boundary[d][1]);
     Real const half_wave = M_PI / (level.domain().extent(d) * level.spacing()[d]);
     if (walls > 0)
-      held += half_wave * half_wave * (walls == 2 ? 1 : 0.25);
+      held += half_wave * half_wave * walls * walls / 4;
     else
       next = std::min(next, half_wave * half_wave * (boundary[d][0] == Boundary::periodic ? 4 : 1));
   }

@@ -81,7 +81,8 @@ def test_screening_too_weak_for_double_precision_is_said_to_be(backend):
 def test_advice_is_what_can_help():
     falls = SolveReport(False, 4, [1, 0.1, 0.01, 1e-3, 1e-4], {}, "no convergence in 4 cycles", 0.0)
     assert "max_cycles" in falls.remedy
-    for stuck in ([1, 1e-3, 1e-4, 1e-4, 1e-4], [1, 1, 1, 1, 1], [1, 1e4, 1e8]):
+    histories: list[list[float]] = [[1, 1e-3, 1e-4, 1e-4, 1e-4], [1, 1, 1, 1, 1], [1, 1e4, 1e8]]
+    for stuck in histories:
         assert "raise solver.max_cycles" not in replace(falls, residuals=stuck).remedy
         assert "or solver.max_cycles" not in replace(falls, residuals=stuck).remedy
 

@@ -198,7 +198,7 @@ class Plan:
         if report.floor > 0:
             self.remark(
                 f"solver.tolerance {self.scene.solver.tolerance} lies below what rounding leaves of the residual, about "
-                f"{report.residuals[-1]:.0e}; solves stop there"
+                f"{max(report.residuals[-1], report.floor):.0e}; solves stop there"
             )
         return phi, report
 
@@ -228,7 +228,7 @@ class Plan:
         reached = report.residuals[-1] if report.residuals else float("nan")
         raise SolverError(
             f"residual {reached:.1e} after {report.cycles} cycles instead of {self.scene.solver.tolerance} "
-            f"({report.reason}); raise solver.tolerance or solver.max_cycles"
+            f"({report.reason}); {report.remedy}"
         )
 
     @property

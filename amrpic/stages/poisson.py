@@ -35,11 +35,25 @@ class SolveReport:
     residuals: list[float]  # before the first cycle and after each, relative to the right-hand side
     seconds: dict[str, float]  # per stage, of this rank
     reason: str  # why the solve stopped
-    floor: float  # estimate of the relative residual that rounding alone leaves; 0 unless it was met
+    floor: float  # estimate of the relative residual that rounding alone leaves; 0 unless it was met, or φ has a larger mean
     discretization_error: float = 0.0  # estimate of the largest error of φ that the mesh makes, V; 0 unless asked for
     contraction: float = 0.0  # the latest known: largest change of φ by a second cycle over that by the first
     right_hand_side: float = 0.0  # its norm when the error was estimated
     solves_since: int = 0  # that estimate
+
+    @property
+    def remedy(self) -> str:
+        """What may help a solve that did not converge."""
+        residuals = self.residuals
+        if self.floor > 0:
+            return (
+                "no other option of the solver helps: give a face a potential, a shorter domain or a stronger screening"
+            )
+        if len(residuals) > 2 and residuals[-1] < 0.5 * min(residuals[: (len(residuals) + 1) // 2]):
+            return "raise solver.tolerance or solver.max_cycles"
+        if residuals and residuals[-1] < 0.1:
+            return f"raise solver.tolerance above {min(residuals):.0e}; more cycles do not help"
+        return 'more cycles do not help; set solver.backend to "crs" and solver.krylov to "fgmres"'
 
     def _repr_html_(self) -> str:
         end = "converged" if self.converged else "not converged"

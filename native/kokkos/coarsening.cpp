@@ -53,17 +53,21 @@ struct ChildRow {
   LevelTables const& level;
   Row const& row;
   float const *r, *diagonal;
-  matrixfree::CorrectionRow at;
+  matrixfree::DifferenceRow at;
 
   KOKKOS_INLINE_FUNCTION ChildRow(LevelTables const& tables, Row const& of, float* e, float const* all_r)
       : level(tables),
         row(of),
         r(all_r + of.place),
         diagonal(&tables.coefficients(of.coefficients)),
-        at(tables.correction(of, e)) {}
+        at(tables.in_differences ? tables.differences(of, e)
+                                 : matrixfree::DifferenceRow{tables.correction(of, e), {}, of.cells}) {}
 
   KOKKOS_INLINE_FUNCTION float operator()(int i) const {
-    return of_residual ? remaining(r[i], level.sum(row, at, i), diagonal[i], at.here[i]) : r[i];
+    if (!of_residual) return r[i];
+    if (level.in_differences)
+      return at.remaining(level.weight, r[i], diagonal[matrixfree::Stencil::held_place * row.pitch + i], i);
+    return remaining(r[i], level.sum(row, at, i), diagonal[i], at.here[i]);
   }
   /// Add `weight` times the values of pairs of whole vectors to parents, or set these, part by part.
   template <int lanes, bool isotropic>
@@ -120,7 +124,7 @@ void Coarsening::restrict_rows() {
         };
         if constexpr (on_host)
           if (Row const& first = level.rows(block.first_row);
-              parents.last[0] < 0 && odd == 0 && first.cells % ratio == 0) {
+              !level.in_differences && parents.last[0] < 0 && odd == 0 && first.cells % ratio == 0) {
             bool set = true;
             matrixfree::with_kind(first.lanes, level.isotropic, [&](auto lanes, auto isotropic) {
               for_each_child_row([&](ChildRow<of_residual> const& row, float of_row) {

@@ -454,7 +454,7 @@ Real Composite::residual(Background const& background, Norm norm, std::vector<Re
 /// times it is made of.
 Real Composite::residual_of_level(int l, Background const& background, Norm norm, Real factor, Real scale) {
   OnLevel const level = levels_[std::size_t(l)];
-  kernels::Residual const formula{mesh_.equation(l), background};
+  kernels::Residual const formula{mesh_.equation(l), background, mesh_.is_nearly_free(l)};
   Sizes const sizes{norm, factor};
   auto const r = swept_[std::size_t(l)]->right_hand_side().array();
   bool const has_finer = l + 1 < mesh_.levels();

@@ -54,7 +54,9 @@ SweptLevel::SweptLevel(Communicator const& comm, matrixfree::SweptLevel& plan)
              on_device(stencil.coefficients()),
              stencil.weight(),
              stencil.isotropic(),
-             stencil.keep()};
+             stencil.keep(),
+             stencil.in_differences(),
+             std::int32_t(layout.zero_row())};
   own_rows_ = on_device(own);
   if (plan.is_thin()) {
     for (std::size_t colour : {0, 1})
@@ -65,16 +67,16 @@ SweptLevel::SweptLevel(Communicator const& comm, matrixfree::SweptLevel& plan)
   }
 }
 
-/// Set composed rows.
-void SweptLevel::compose(Part const& runs) {
+/// Set composed rows, or their differences to the rows that they lie beside.
+void SweptLevel::compose(Part const& runs, bool differences) {
   LevelTables const level = tables_;
   auto const e = e_.array();
   for_each_row(
       "compose rows", runs, KOKKOS_LAMBDA(Worker const& worker, std::int32_t n) {
         matrixfree::ScaledRun const run = level.composition(n);
-        float const* const from = e.data() + run.source;
+        float const *const from = e.data() + run.source, *const own = e.data() + run.own;
         float* const to = level.composed.data() + run.place;
-        worker.for_each(run.count, [=](int i) { to[i] = run.factor * from[i]; });
+        worker.for_each(run.count, [=](int i) { to[i] = run.factor * (differences ? from[i] - own[i] : from[i]); });
       });
 }
 
@@ -127,7 +129,7 @@ void SweptLevel::relax(int sweeps, bool from_zero, int further) {
     matrixfree::HalfSweep const h(half, from_zero);
     bring(h.reads);
     for (Together const& part : together_) {
-      if (!h.is_fresh) compose(part.composition);
+      if (!h.is_fresh) compose(part.composition, false);
       h.is_fresh ? half_sweep<true>(part.rows, h.colour, reach) : half_sweep<false>(part.rows, h.colour, reach);
     }
     stale_ |= h.changes;
@@ -137,7 +139,7 @@ void SweptLevel::relax(int sweeps, bool from_zero, int further) {
 void SweptLevel::prepare_residual() {
   bring(matrixfree::both_colours);
   if (plan_.has_odd_ring()) exchange_corrections(false);  // copies behind it have not been swept as their cells were
-  compose({0, std::int32_t(tables_.composition.extent(0))});
+  compose({0, std::int32_t(tables_.composition.extent(0))}, tables_.in_differences);
 }
 
 void SweptLevel::exchange_right_hand_sides() {

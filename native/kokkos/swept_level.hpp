@@ -37,6 +37,8 @@ struct LevelTables {
   std::array<float, 3> weight;
   bool isotropic;
   float keep;
+  bool in_differences;  ///< are residuals, and for them composed rows
+  std::int32_t zero_row;
 
   /// A row's correction and its neighbours'.
   KOKKOS_INLINE_FUNCTION matrixfree::CorrectionRow correction(Row const& row, float* e) const {
@@ -48,6 +50,15 @@ struct LevelTables {
     out.right = row.factor[1] * e[row.end[1]];
     out.vectors = row.pitch / row.lanes;
     out.last = (row.cells - 1) % row.lanes;
+    return out;
+  }
+  /// The same for a residual of differences.
+  KOKKOS_INLINE_FUNCTION matrixfree::DifferenceRow differences(Row const& row, float* e) const {
+    matrixfree::DifferenceRow out{correction(row, e), {}, row.cells};
+    for (std::size_t side = 0; side < 4; ++side)
+      out.less[side] = row.beside[side] < 0 || row.beside[side] == zero_row ? e + zero_row : out.here;
+    out.left = row.factor[0] * (e[row.end[0]] - out.here[0]);
+    out.right = row.factor[1] * (e[row.end[1]] - out.here[row.cells - 1]);
     return out;
   }
   /// The weighted sum over the neighbours of a cell.
@@ -82,7 +93,7 @@ class SweptLevel {
   std::size_t bytes() const;
 
   // Parts of `relax`, public because CUDA wants members with kernels to be.
-  void compose(Part const& runs);
+  void compose(Part const& runs, bool differences);
   template <bool from_zero>
   void half_sweep(Part const& rows, int colour, int reach);
 

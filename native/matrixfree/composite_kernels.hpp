@@ -2,6 +2,7 @@
 #pragma once
 
 #include <algorithm>
+#include <type_traits>
 
 #include "base/fetch.hpp"
 #include "stencil/background.hpp"
@@ -13,9 +14,18 @@ namespace amrpic::kernels {
 struct Residual {
   Equation equation;
   Background background;
+  bool in_differences;  ///< see `is_nearly_free`
 
+  template <bool differences>
+  KOKKOS_INLINE_FUNCTION Real find(Real rho, Real c, Real xm, Real xp, Real ym, Real yp, Real zm, Real zp) const {
+    Real const f = background.right_hand_side(rho);
+    if constexpr (differences)
+      return f - laplacian<Real>(equation, c, xm, xp, ym, yp, zm, zp);
+    else
+      return f - laplacian(equation, c, xm, xp, ym, yp, zm, zp);
+  }
   KOKKOS_INLINE_FUNCTION Real operator()(Real rho, Real c, Real xm, Real xp, Real ym, Real yp, Real zm, Real zp) const {
-    return background.right_hand_side(rho) - laplacian(equation, c, xm, xp, ym, yp, zm, zp);
+    return in_differences ? find<true>(rho, c, xm, xp, ym, yp, zm, zp) : find<false>(rho, c, xm, xp, ym, yp, zm, zp);
   }
 };
 
@@ -39,12 +49,15 @@ inline void for_each_part(std::ptrdiff_t first, std::ptrdiff_t last, F&& f) {
                                            Real* __restrict out) {
   Real const *ym = n.ym, *yp = n.yp, *zm = n.zm, *zp = n.zp;
   Residual const f = formula;
-  for_each_part(first, last, [&](std::ptrdiff_t begin, std::ptrdiff_t end) {
-    fetch<Use::read>(rho + begin + page<Real>, end - begin);
-    fetch<Use::read>(zp + begin + page<Real>, end - begin);
-    for (std::ptrdiff_t i = begin; i < end; ++i)
-      out[i] = f(rho[i], c[i], c[i - 1], c[i + 1], ym[i], yp[i], zm[i], zp[i]);
-  });
+  auto const run = [&](auto differences) {
+    for_each_part(first, last, [&](std::ptrdiff_t begin, std::ptrdiff_t end) {
+      fetch<Use::read>(rho + begin + page<Real>, end - begin);
+      fetch<Use::read>(zp + begin + page<Real>, end - begin);
+      for (std::ptrdiff_t i = begin; i < end; ++i)
+        out[i] = f.find<differences()>(rho[i], c[i], c[i - 1], c[i + 1], ym[i], yp[i], zm[i], zp[i]);
+    });
+  };
+  f.in_differences ? run(std::true_type()) : run(std::false_type());
 }
 
 /// The same of one row of nx cells, only its ends, between the values beyond them.

@@ -9,6 +9,7 @@
 #include "base/fetch.hpp"
 #include "matrixfree/composite_plan.hpp"
 #include "mesh/field.hpp"
+#include "operators/nearly_free.hpp"
 #include "stencil/background.hpp"
 #include "stencil/equation.hpp"
 #include "stencil/field_difference.hpp"
@@ -52,6 +53,7 @@ class CompositeMesh {
   LocalIndex offset(int l, int b) const { return level(l).local_offset(level(l).first_local_box() + b); }
 
   Equation equation(int l) const { return equation_on(level(l).spacing(), shift_); }
+  bool is_nearly_free(int l) const { return amrpic::is_nearly_free(level(l), hierarchy_->domain().boundary, shift_); }
   Real shift() const { return shift_; }
   Real volume(int l) const { return level(l).cell_volume() / (stretch_[0] * stretch_[1] * stretch_[2]); }
   Real factor_of_field(int l, int axis) const { return field_factor(level(l).spacing()[axis]) / stretch_[axis]; }

@@ -35,7 +35,7 @@ void SecondOrderResidual::residual_plane(int l, int b, int k, Source const& sour
   auto const& values = phi.level(l);
   Real const* const cells = values.data() + mesh_.offset(l, b);
   Real const* const rho = source.rho.level(l).data() + mesh_.offset(l, b) + k * plane;
-  kernels::Residual const formula{mesh_.equation(l), source.background};
+  kernels::Residual const formula{mesh_.equation(l), source.background, mesh_.is_nearly_free(l)};
   Real const* const c = cells + k * plane;
   Real const* const below = k > 0 ? c - plane : ghosts_.ghosts(2, 0);
   Real const* const above = k + 1 < nz ? c + plane : ghosts_.ghosts(2, 1);

@@ -54,6 +54,16 @@ bool has_thin_copies(Level const& level, GhostRules const& rules) {
 
 constexpr GlobalIndex whole_on_all_ranks = 10000;  ///< cells of a level; relaxing so few costs less than messages
 
+/// Whether the coarsest level leaves the mean as it is: nothing holds it, or screening so weakly that it would be made
+/// of what single precision rounds. What sweeps change of it adds next to nothing to the residual beside other errors,
+/// or double precision has no digits for it.
+bool leaves_mean(MultigridLevels const& multigrid) {
+  Real const of_others = smallest_eigenvalue(*multigrid.levels[multigrid.base], multigrid.boundary, 0);
+  bool const is_free = std::all_of(multigrid.boundary.begin(), multigrid.boundary.end(), is_closed);
+  return is_free &&
+         multigrid.shift < std::max(1e-10 * of_others, 1e-15 * multigrid.equation(multigrid.base).diagonal());
+}
+
 /// Walls of the coarsest level, with the open ones where corrections vanish behind the middle of each face.
 WallGhosts walls_of_coarsest(MultigridLevels const& multigrid, GhostRules const& rules) {
   WallGhosts out = rules.walls;
@@ -93,7 +103,8 @@ Cycle::Cycle(Communicator const& comm, MultigridLevels multigrid, int max_grid_s
     int const deep = own.halo() + (!copies.empty() || !multigrid_.refines(l) ? 1 : 0);
     bool const thin = copies.empty() && !has_gaps[l] && has_thin_copies(*multigrid_.levels[l], rules);
     int const halo = thin ? 1 : std::max(deep, has_gaps[l] ? reach_in_gaps : 0);
-    level.swept = std::make_unique<SweptLevel>(comm, multigrid_.levels[l], rules, shift, own, halo);
+    level.swept =
+        std::make_unique<SweptLevel>(comm, multigrid_.levels[l], rules, multigrid_.boundary, shift, own, halo);
     if (l > 0)
       level.coarsening = std::make_unique<Coarsening>(
           comm, *level.swept, *levels_.back().swept, multigrid_.ratio[l],
@@ -104,7 +115,7 @@ Cycle::Cycle(Communicator const& comm, MultigridLevels multigrid, int max_grid_s
                        },
                        last_children_of(multigrid_, l),
                        seam_widths(multigrid_.levels[l - 1]->periodic(), multigrid_.upper[l - 1])});
-    level.local = make_local_cycle(comm, *level.swept, copies, shift, relaxation);
+    level.local = make_local_cycle(comm, *level.swept, copies, multigrid_.boundary, shift, relaxation);
     levels_.push_back(std::move(level));
   }
   Level const& coarsest = *multigrid_.levels.front();
@@ -113,7 +124,7 @@ Cycle::Cycle(Communicator const& comm, MultigridLevels multigrid, int max_grid_s
   GhostRules const rules = ghost_rules_of(multigrid_, open_walls, 0);
   direct_ = std::make_unique<FastDiagonalisation>(Index3{box.extent(0), box.extent(1), box.extent(2)}, equation,
                                                   walls_of_coarsest(multigrid_, rules), coarsest.periodic(),
-                                                  rules.seam_width);
+                                                  rules.seam_width, leaves_mean(multigrid_));
 }
 
 void Cycle::run() {

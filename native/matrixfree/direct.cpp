@@ -9,8 +9,8 @@ extern "C" void dsyev_(char const* vectors, char const* triangle, int const* n, 
 namespace amrpic::matrixfree {
 
 FastDiagonalisation::FastDiagonalisation(Index3 const& cells, Equation const& equation, WallGhosts const& walls,
-                                         std::array<bool, 3> const& periodic, Real3 const& seam_width)
-    : cells_(cells), shift_(equation.shift) {
+                                         std::array<bool, 3> const& periodic, Real3 const& seam_width, bool leaves_mean)
+    : cells_(cells), shift_(equation.shift), leaves_mean_(leaves_mean) {
   for (int d = 0; d < 3; ++d) axes_[d] = axis(cells[d], equation.weight[d], walls[d], periodic[d], seam_width[d]);
 }
 
@@ -46,6 +46,9 @@ FastDiagonalisation::Axis FastDiagonalisation::axis(int n, Real weight, std::arr
   int info = 0;
   dsyev_("V", "U", &n, matrix.data(), &n, out.eigenvalue.data(), work.data(), &work_size, &info);
   if (info != 0) throw std::runtime_error("the eigenvalues of the coarsest level could not be found");
+  // Rounding leaves the last one at epsilon times the first where nothing holds what is constant along the axis.
+  auto const is_free = [](WallGhost const& ghost) { return std::abs(ghost.first + ghost.second - 1) < 1e-12; };
+  if (periodic || (is_free(walls[0]) && is_free(walls[1]))) out.eigenvalue.back() = 0;
   out.to.resize(size * size), out.from.resize(size * size);
   for (std::size_t i = 0; i < size; ++i)
     for (std::size_t k = 0; k < size; ++k) {
@@ -82,8 +85,8 @@ void FastDiagonalisation::solve(std::vector<Real>& values) {
   for (Real z : axes_[2].eigenvalue)
     for (Real y : axes_[1].eigenvalue)
       for (Real x : axes_[0].eigenvalue) {
-        Real const sum = x + y + z - shift_;
-        values[n] = shift_ > 0 || std::abs(sum) > 1e-12 * largest ? values[n] / sum : 0;
+        bool const is_constant = leaves_mean_ && std::abs(x + y + z) <= 1e-12 * largest;
+        values[n] = is_constant ? 0 : values[n] / (x + y + z - shift_);
         ++n;
       }
   for (int d = 0; d < 3; ++d) transform(d, axes_[d].from, values);

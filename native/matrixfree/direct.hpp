@@ -12,11 +12,11 @@ namespace amrpic::matrixfree {
 class FastDiagonalisation {
  public:
   /// With ghosts behind walls, and with finite volumes where the last cell of a periodic axis has a width of its own.
+  /// `leaves_mean`: constants solve the homogeneous equation, or little holds them.
   FastDiagonalisation(Index3 const& cells, Equation const& equation, WallGhosts const& walls,
-                      std::array<bool, 3> const& periodic, Real3 const& seam_width);
+                      std::array<bool, 3> const& periodic, Real3 const& seam_width, bool leaves_mean);
 
-  /// Replace the right-hand side (x fastest) by the solution; the one without a constant if constants solve the
-  /// homogeneous equation.
+  /// Replace the right-hand side (x fastest) by the solution; the one without a constant if it leaves the mean.
   void solve(std::vector<Real>& values);
 
  private:
@@ -29,6 +29,7 @@ class FastDiagonalisation {
 
   Index3 cells_;
   Real shift_;
+  bool leaves_mean_;
   std::array<Axis, 3> axes_;
   std::vector<Real> scratch_;
 };

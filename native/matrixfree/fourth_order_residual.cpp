@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <type_traits>
 
 #include "base/fetch.hpp"
 #include "base/lanes.hpp"
@@ -19,10 +20,16 @@ using fourth_order::across;
 struct Formula {
   Equation equation;
   Background background;
+  bool in_differences;  ///< see `is_nearly_free`
 
-  /// `x`, `y`, `z`: what the cells in line along each axis add, see `across`.
-  Real operator()(Real rho, Real c, Real x, Real y, Real z) const {
-    return background.right_hand_side(rho) - fourth_order::laplacian(equation, c, x, y, z);
+  /// `x`, `y`, `z`: what the cells in line along each axis add, see `across`, or their differences to this one.
+  template <bool differences>
+  Real find(Real rho, Real c, Real x, Real y, Real z) const {
+    Real const f = background.right_hand_side(rho);
+    if constexpr (differences)
+      return f - fused(-equation.shift, c, weighted_sum(equation.weight, x, y, z));
+    else
+      return f - fourth_order::laplacian(equation, c, x, y, z);
   }
 };
 
@@ -37,9 +44,17 @@ void run(Formula const& formula, int count, Real const* c, Rows const& y, Rows c
   Formula const f = formula;
   fetch<Use::read>(rho + page<Real>, count);
   fetch<Use::read>(zpp + page<Real>, count);
-  for (int i = 0; i < count; ++i)
-    out[i] = f(rho[i], c[i], across(c[i - 1] + c[i + 1], c[i - 2] + c[i + 2]), across(ym[i] + yp[i], ymm[i] + ypp[i]),
-               across(zm[i] + zp[i], zmm[i] + zpp[i]));
+  auto const find = [&](auto differences) {
+    for (int i = 0; i < count; ++i) {
+      auto const pair = [differences, here = c[i]](Real below, Real above) {
+        return differences() ? (below - here) + (above - here) : below + above;
+      };
+      out[i] = f.find<differences()>(rho[i], c[i], across(pair(c[i - 1], c[i + 1]), pair(c[i - 2], c[i + 2])),
+                                     across(pair(ym[i], yp[i]), pair(ymm[i], ypp[i])),
+                                     across(pair(zm[i], zp[i]), pair(zmm[i], zpp[i])));
+    }
+  };
+  f.in_differences ? find(std::true_type()) : find(std::false_type());
 }
 
 }  // namespace
@@ -89,7 +104,7 @@ void FourthOrderResidual::plane_of(int l, int b, int k, Source const& source, Re
   int const nx = own.extent(0), ny = own.extent(1);
   std::ptrdiff_t const plane = std::ptrdiff_t(nx) * ny;
   Real const* const rho = source.rho.level(l).data() + mesh_.offset(l, b) + k * plane;
-  Formula const formula{mesh_.equation(l), source.background};
+  Formula const formula{mesh_.equation(l), source.background, mesh_.is_nearly_free(l)};
   RowsOfPlane const here = rows_of(own, k, cells);
   std::array<RowsOfPlane, 4> const beside{rows_of(own, k - 2, cells), rows_of(own, k - 1, cells),
                                           rows_of(own, k + 1, cells), rows_of(own, k + 2, cells)};

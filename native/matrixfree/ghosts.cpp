@@ -1,6 +1,7 @@
 #include "matrixfree/ghosts.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <cstring>
 #include <map>
 #include <string>
@@ -18,11 +19,20 @@ bool is_its_own_neighbour(Level const& level, GhostRules const& rules, int axis)
   return level.domain().extent(axis) == 1 && is_copy(rules.walls[axis][0]) && is_copy(rules.walls[axis][1]);
 }
 
+/// What a ghost of equal values lacks of them: nothing, up to rounding, where they may be constant.
+float held_by(Ghost const& ghost) {
+  float const out = 1 - ghost.first - ghost.factor;
+  return std::abs(out) < 1e-6f ? 0 : out;
+}
+
 }  // namespace
 
 Stencil::Stencil(Level const& level, Layout const& layout, LevelFaces const& faces, GhostRules const& rules,
-                 Equation const& equation, Real relaxation)
-    : relaxation_(relaxation), shift_(float(equation.shift)), keep_(float(1 - relaxation)) {
+                 Equation const& equation, Real relaxation, bool in_differences)
+    : relaxation_(relaxation),
+      shift_(float(equation.shift)),
+      keep_(float(1 - relaxation)),
+      in_differences_(in_differences) {
   for (int d = 0; d < 3; ++d) weight_[d] = is_its_own_neighbour(level, rules, d) ? 0 : float(equation.weight[d]);
   for (std::size_t b = 0; b < faces.size(); ++b) {
     CellBlock const& block = layout.blocks()[b];
@@ -101,7 +111,8 @@ void Stencil::add_rows(BlockStencil& out, Layout const& layout, CellBlock const&
         std::ptrdiff_t const pitch = axis == 1 ? block.cells.pitch_y : block.cells.pitch_z;
         row.beside[std::size_t(2 * (axis - 1) + side)] =
             inside ? std::int32_t(block.cells.place(0, j, k) + (side == 0 ? -pitch : pitch))
-                   : compose(out, &ghosts[axis][side][std::size_t(t) * nx], nx, layout.zero_row());
+                   : compose(out, &ghosts[axis][side][std::size_t(t) * nx], nx, block.cells.place(0, j, k),
+                             layout.zero_row());
       };
       beside(1, 0, j > 0, k);
       beside(1, 1, j + 1 < ny, k);
@@ -117,7 +128,8 @@ void Stencil::add_rows(BlockStencil& out, Layout const& layout, CellBlock const&
 }
 
 /// The row that ghosts make: its place if it is one in memory, else ~(the composed row that is added).
-std::int32_t Stencil::compose(BlockStencil& out, Ghost const* ghosts, int n, std::ptrdiff_t zero_row) {
+std::int32_t Stencil::compose(BlockStencil& out, Ghost const* ghosts, int n, std::ptrdiff_t own,
+                              std::ptrdiff_t zero_row) {
   std::size_t const first = std::size_t(out.first_run.back());
   for (int i = 0; i < n; ++i) {
     Ghost const& g = ghosts[i];
@@ -126,7 +138,7 @@ std::int32_t Stencil::compose(BlockStencil& out, Ghost const* ghosts, int n, std
     if (follows)
       ++out.runs.back().count;
     else
-      out.runs.push_back({i, 1, g.source, g.factor});
+      out.runs.push_back({i, 1, g.source, g.factor, std::int32_t(own + i)});
   }
   if (ScaledRun const run = out.runs[first]; run.count == n && (run.factor == 0 || run.factor == 1)) {
     out.runs.pop_back();
@@ -140,44 +152,57 @@ void Stencil::add_coefficients(BlockStencil& out, CellBlock const& block,
                                std::array<std::array<std::vector<Ghost>, 2>, 3> const& ghosts) {
   int const nx = block.box.extent(0), ny = block.box.extent(1), nz = block.box.extent(2);
   float const plain = 2 * (weight_[0] + weight_[1] + weight_[2]) + shift_;
-  std::vector<float> diagonal;
-  std::map<std::array<float, 2>, std::int32_t> inner;  // of rows away from the faces of y and z, by their two ends
+  std::vector<float> diagonal, held;
+  std::map<std::array<float, 4>, std::int32_t> inner;  // of rows away from the faces of y and z, by their two ends
   for (int k = 0; k < nz; ++k)
     for (int j = 0; j < ny; ++j) {
       std::size_t const row = std::size_t(j + ny * k);
-      float const lower = ghosts[0][0][row].first, upper = ghosts[0][1][row].first;
+      Ghost const &lower = ghosts[0][0][row], &upper = ghosts[0][1][row];
+      std::array<float, 4> const ends{lower.first, lower.factor, upper.first, upper.factor};
       bool const inside = j > 0 && j < ny - 1 && k > 0 && k < nz - 1;
       if (inside)
-        if (auto const known = inner.find({lower, upper}); known != inner.end()) {
+        if (auto const known = inner.find(ends); known != inner.end()) {
           out.rows[row].coefficients = known->second;
           continue;
         }
       diagonal.assign(std::size_t(nx), plain);
-      diagonal.front() -= weight_[0] * lower;
-      diagonal.back() -= weight_[0] * upper;
+      diagonal.front() -= weight_[0] * lower.first;
+      diagonal.back() -= weight_[0] * upper.first;
+      held.assign(in_differences_ ? std::size_t(nx) : 0, shift_);
+      if (in_differences_) {
+        held.front() += weight_[0] * held_by(lower);
+        held.back() += weight_[0] * held_by(upper);
+      }
       auto subtract = [&](int axis, int side, int t) {
         Ghost const* const g = &ghosts[axis][side][std::size_t(t) * nx];
         for (int i = 0; i < nx; ++i) diagonal[std::size_t(i)] -= weight_[axis] * g[i].first;
+        for (std::size_t i = 0; i < held.size(); ++i) held[i] += weight_[axis] * held_by(g[i]);
       };
       if (j == 0) subtract(1, 0, k);
       if (j == ny - 1) subtract(1, 1, k);
       if (k == 0) subtract(2, 0, j);
       if (k == nz - 1) subtract(2, 1, j);
-      std::int32_t const start = pooled(block, diagonal);
-      if (inside) inner[{lower, upper}] = start;
+      std::int32_t const start = pooled(block, diagonal, held);
+      if (inside) inner[ends] = start;
       out.rows[row].coefficients = start;
     }
 }
 
-std::int32_t Stencil::pooled(CellBlock const& block, std::vector<float> const& diagonal) {
+std::int32_t Stencil::pooled(CellBlock const& block, std::vector<float> const& diagonal,
+                             std::vector<float> const& held) {
   std::size_t const pitch = std::size_t(block.cells.pitch_y);
-  std::string key(diagonal.size() * sizeof(float) + sizeof pitch, '\0');
-  std::memcpy(key.data(), diagonal.data(), diagonal.size() * sizeof(float));
-  std::memcpy(key.data() + diagonal.size() * sizeof(float), &pitch, sizeof pitch);
+  std::string key;
+  auto const append = [&](auto const* values, std::size_t n) {
+    key.append(reinterpret_cast<char const*>(values), n * sizeof *values);
+  };
+  append(diagonal.data(), diagonal.size());
+  append(held.data(), held.size());
+  append(&pitch, 1);
   auto const [at, fresh] = known_.emplace(key, std::int32_t(pool_.size()));
   if (fresh) {
     std::size_t const start = pool_.size();
-    pool_.resize(start + (3 * pitch + 15) / 16 * 16);
+    pool_.resize(start + ((in_differences_ ? held_place + 1 : held_place) * pitch + 15) / 16 * 16);
+    std::copy(held.begin(), held.end(), pool_.begin() + std::ptrdiff_t(start + held_place * pitch));
     for (std::size_t i = 0; i < diagonal.size(); ++i) {
       pool_[start + i] = diagonal[i];
       pool_[start + (1 + i % 2) * pitch + i] = diagonal[i] == 0 ? 0 : float(relaxation_) / diagonal[i];

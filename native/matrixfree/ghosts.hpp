@@ -33,11 +33,13 @@ struct GhostRules {
   std::array<bool, 3> seams() const { return {seam_width[0] != 1, seam_width[1] != 1, seam_width[2] != 1}; }
 };
 
-/// A run of values of a row: factor * e[source + i] for `count` cells from `place` on.
+/// A run of values of a row: factor * e[source + i] for `count` cells from `place` on; of differences, factor *
+/// (e[source + i] - e[own + i]).
 struct ScaledRun {
   std::int32_t place, count;
   std::int32_t source;
   float factor;
+  std::int32_t own;  ///< the first of the cells that the row lies beside
 };
 
 inline Real smallest_spacing(Level const& level) {
@@ -65,7 +67,7 @@ class Stencil {
  public:
   /// `faces`: of the blocks; `equation`: times h²; `relaxation`: factor of a Gauss-Seidel step.
   Stencil(Level const& level, Layout const& layout, LevelFaces const& faces, GhostRules const& rules,
-          Equation const& equation, Real relaxation);
+          Equation const& equation, Real relaxation, bool in_differences);
 
   BlockStencil const& block(std::size_t b) const { return blocks_[b]; }
   /// h² / h_d²; zero along axes of one cell that is its own neighbour: what cancels there does so before any rounding.
@@ -80,6 +82,12 @@ class Stencil {
     return &pool_[std::size_t(start)] + (1 + parity) * pitch;
   }
   Vector const& coefficients() const { return pool_; }
+
+  /// Whether residuals are taken of differences between neighbours, see `is_nearly_free`: the sum over neighbours less
+  /// d e is then that over the differences to them less `held` times e.
+  bool in_differences() const { return in_differences_; }
+  float const* held(std::int32_t start, std::ptrdiff_t pitch) const { return diagonal(start) + held_place * pitch; }
+  static constexpr int held_place = 3;  ///< among the vectors of a row's coefficients
   std::size_t bytes() const;
 
  private:
@@ -87,15 +95,17 @@ class Stencil {
                                    CellBlock const& block, Face const& face, int axis, int side);
   static void add_rows(BlockStencil& out, Layout const& layout, CellBlock const& block,
                        std::array<std::array<std::vector<Ghost>, 2>, 3> const& ghosts);
-  static std::int32_t compose(BlockStencil& out, Ghost const* ghosts, int n, std::ptrdiff_t zero_row);
+  static std::int32_t compose(BlockStencil& out, Ghost const* ghosts, int n, std::ptrdiff_t own,
+                              std::ptrdiff_t zero_row);
   void add_coefficients(BlockStencil& out, CellBlock const& block,
                         std::array<std::array<std::vector<Ghost>, 2>, 3> const& ghosts);
-  std::int32_t pooled(CellBlock const& block, std::vector<float> const& diagonal);
+  std::int32_t pooled(CellBlock const& block, std::vector<float> const& diagonal, std::vector<float> const& held);
 
   Real relaxation_;
   std::array<float, 3> weight_;
   float shift_;
   float keep_;
+  bool in_differences_;
   std::vector<BlockStencil> blocks_;
   Vector pool_;
   std::unordered_map<std::string, std::int32_t> known_;

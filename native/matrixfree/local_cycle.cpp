@@ -22,11 +22,11 @@ GhostRules ghost_rules_of(LevelCopy const& copy) {
 
 }  // namespace
 
-LocalCycle::LocalCycle(Communicator const& comm, SweptLevel& fine, LevelCopy const& copy, Real shift,
-                       Relaxation const& relaxation)
+LocalCycle::LocalCycle(Communicator const& comm, SweptLevel& fine, LevelCopy const& copy, Faces const& boundary,
+                       Real shift, Relaxation const& relaxation)
     : fine_(fine),
       relaxation_(of_copy(*copy.level, shift, relaxation)),
-      swept_(comm, copy.level, ghost_rules_of(copy), shift, relaxation_, relaxation_.halo()),
+      swept_(comm, copy.level, ghost_rules_of(copy), boundary, shift, relaxation_, relaxation_.halo()),
       coarsening_(comm, fine, swept_, copy.ratio, {},
                   CoarseGhosts{copy.prolonged, copy.children, seam_widths(copy.level->periodic(), copy.upper)}) {}
 
@@ -52,13 +52,13 @@ Real LocalCycle::relaxed_cells() const {
 }
 
 std::unique_ptr<LocalCycle> make_local_cycle(Communicator const& comm, SweptLevel& fine,
-                                             std::vector<LevelCopy> const& copies, Real shift,
+                                             std::vector<LevelCopy> const& copies, Faces const& boundary, Real shift,
                                              Relaxation const& relaxation) {
   std::unique_ptr<LocalCycle> first;
   std::unique_ptr<LocalCycle>* place = &first;
   SweptLevel* above = &fine;
   for (LevelCopy const& copy : copies) {
-    *place = std::make_unique<LocalCycle>(comm, *above, copy, shift, relaxation);
+    *place = std::make_unique<LocalCycle>(comm, *above, copy, boundary, shift, relaxation);
     above = &(*place)->swept();
     place = &(*place)->next();
   }

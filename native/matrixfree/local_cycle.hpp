@@ -20,7 +20,7 @@ namespace amrpic::matrixfree {
 class LocalCycle {
  public:
   /// `fine` is relaxed by the caller; `shift`: of the Equation. Collective.
-  LocalCycle(Communicator const& comm, SweptLevel& fine, LevelCopy const& copy, Real shift,
+  LocalCycle(Communicator const& comm, SweptLevel& fine, LevelCopy const& copy, Faces const& boundary, Real shift,
              Relaxation const& relaxation);
 
   /// Run stages over the finer level, find a correction for what they leave, and return stages that add it and smooth.
@@ -46,7 +46,7 @@ class LocalCycle {
 
 /// The local cycle of a refinement level over its copies; null without any. Collective.
 std::unique_ptr<LocalCycle> make_local_cycle(Communicator const& comm, SweptLevel& fine,
-                                             std::vector<LevelCopy> const& copies, Real shift,
+                                             std::vector<LevelCopy> const& copies, Faces const& boundary, Real shift,
                                              Relaxation const& relaxation);
 
 }  // namespace amrpic::matrixfree

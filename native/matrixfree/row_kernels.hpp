@@ -90,6 +90,29 @@ inline void residual(CorrectionRow const& row, std::array<float, 3> const& weigh
   });
 }
 
+/// A row and its neighbours for a residual of differences: `left` and `right` are differences, and so are the rows
+/// beside it less those of `less`.
+struct DifferenceRow : CorrectionRow {
+  std::array<float const*, 4> less;
+  int cells;
+
+  KOKKOS_INLINE_FUNCTION float remaining(std::array<float, 3> const& weight, float r, float held, int i) const {
+    float const e = here[i];
+    float const before = i > 0 ? here[i - 1] - e : left, after = i + 1 < cells ? here[i + 1] - e : right;
+    auto across = [&](std::size_t side) {
+      return (beside[side][i] - less[side][i]) + (beside[side + 1][i] - less[side + 1][i]);
+    };
+    return amrpic::remaining(r, weighted_sum(weight, before + after, across(0), across(2)), held, e);
+  }
+};
+inline void residual(DifferenceRow const& row, std::array<float, 3> const& weight, float const* r, float const* held,
+                     float* out) {
+  auto const find = [&](int i) { out[i] = row.remaining(weight, r[i], held[i], i); };
+  find(0);
+  for (int i = 1; i + 1 < row.cells; ++i) find(i);  // the compiler sees that these are not at an end
+  if (row.cells > 1) find(row.cells - 1);
+}
+
 /// Set `n` numbers to `values`, or add these; n at most N.
 template <int N>
 inline void put(float* to, typename FloatLanes<N>::Type const& values, std::ptrdiff_t n, bool set) {

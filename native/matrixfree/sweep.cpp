@@ -2,8 +2,6 @@
 
 #include <algorithm>
 
-#include "matrixfree/row_kernels.hpp"
-
 namespace amrpic::matrixfree {
 
 void wavefront(Layout const& layout, std::vector<PlaneStage> const& stages, std::function<void(int)> const& before) {
@@ -21,17 +19,37 @@ Sweep::Sweep(Layout const& layout, Stencil const& stencil) : layout_(layout), st
   for (Vector& row : buffer_) row.resize(std::size_t(pitch) + 96);
 }
 
-/// A row beside another one that is composed of runs, put together in a buffer.
-float const* Sweep::composed(BlockStencil const& stencil, std::int32_t beside, float const* e, Vector& buffer) const {
+/// A row beside another one that is composed of runs, or its differences to that, put together in a buffer.
+float const* Sweep::composed(BlockStencil const& stencil, std::int32_t beside, float const* e, Vector& buffer,
+                             bool differences) const {
   std::int32_t const* const run = &stencil.first_run[std::size_t(~beside)];
   for (std::int32_t n = run[0]; n < run[1]; ++n) {
     ScaledRun const& r = stencil.runs[std::size_t(n)];
     float const factor = r.factor;
     float const* const from = e + r.source;
     float* const to = buffer.data() + r.place;
-    for (int i = 0; i < r.count; ++i) to[i] = factor * from[i];
+    if (differences)
+      for (int i = 0; i < r.count; ++i) to[i] = factor * (from[i] - e[r.own + i]);
+    else
+      for (int i = 0; i < r.count; ++i) to[i] = factor * from[i];
   }
   return buffer.data();
+}
+
+/// A row for a residual of differences.
+DifferenceRow Sweep::in_differences(std::size_t block, RowStencil const& stencil, CorrectionRow const& row,
+                                    float const* e) const {
+  int const last = layout_.blocks()[block].box.extent(0) - 1;
+  float const* const zeros = e + layout_.zero_row();
+  DifferenceRow out{row, {}, last + 1};
+  for (std::size_t side = 0; side < 4; ++side) {
+    bool const is_composed = stencil.beside[side] < 0;
+    if (is_composed) out.beside[side] = composed(stencil_.block(block), stencil.beside[side], e, buffer_[side], true);
+    out.less[side] = is_composed || row.beside[side] == zeros ? zeros : row.here;
+  }
+  out.left = stencil.factor[0] * (e[stencil.end[0]] - row.here[0]);
+  out.right = stencil.factor[1] * (e[stencil.end[1]] - row.here[last]);
+  return out;
 }
 
 /// Call f(row, j, its stencil) for rows of a plane.
@@ -131,8 +149,12 @@ void Sweep::restrict_residual(std::size_t block, int k, Vector const& r, Vector 
   float* const values = const_cast<float*>(e.data());  // rows are read alone
   with_kind(b.lanes, stencil_.isotropic(), [&](auto n, auto isotropic) {
     for_each_row(block, k, {}, values, [&](CorrectionRow const& row, int j, RowStencil const& s) {
-      residual<n(), isotropic()>(row, stencil_.weight(), r.data() + (row.here - values),
-                                 stencil_.diagonal(s.coefficients), left);
+      float const* const right = r.data() + (row.here - values);
+      if (stencil_.in_differences())
+        residual(in_differences(block, s, row, values), stencil_.weight(), right,
+                 stencil_.held(s.coefficients, b.cells.pitch_y), left);
+      else
+        residual<n(), isotropic()>(row, stencil_.weight(), right, stencil_.diagonal(s.coefficients), left);
       restrict_row<n()>(b, j, k, are_pairs(b, parents) ? left : in_pairs(b, parents, left), parents, weight, coarse);
     });
   });

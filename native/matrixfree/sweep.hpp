@@ -4,6 +4,7 @@
 
 #include "base/kokkos.hpp"
 #include "matrixfree/ghosts.hpp"
+#include "matrixfree/row_kernels.hpp"
 
 namespace amrpic::matrixfree {
 
@@ -84,7 +85,10 @@ class Sweep {
   float* line_of(Parents const& parents) const { return buffer_[4].data() + 16 + parents.odd[0]; }
   template <class F>
   void for_each_row(std::size_t block, int k, RowChoice const& rows, float* e, F&& f) const;
-  float const* composed(BlockStencil const& stencil, std::int32_t beside, float const* e, Vector& buffer) const;
+  float const* composed(BlockStencil const& stencil, std::int32_t beside, float const* e, Vector& buffer,
+                        bool differences = false) const;
+  DifferenceRow in_differences(std::size_t block, RowStencil const& stencil, CorrectionRow const& row,
+                               float const* e) const;
 
   Layout const& layout_;
   Stencil const& stencil_;

@@ -18,14 +18,14 @@ LevelFaces faces_of_blocks(Level const& level, Layout const& layout, std::size_t
 }  // namespace
 
 SweptLevel::SweptLevel(Communicator const& comm, std::shared_ptr<Level const> level, GhostRules const& rules,
-                       Real shift, Relaxation const& relaxation, int halo)
+                       Faces const& boundary, Real shift, Relaxation const& relaxation, int halo)
     : level_(std::move(level)),
       scale_(smallest_spacing(*level_) * smallest_spacing(*level_)),
       is_thin_(halo == 1),
       layout_(*level_, halo, rules.seams()),
       faces_(faces_of_blocks(*level_, layout_, is_thin_ ? layout_.own_blocks() : layout_.blocks().size())),
       stencil_(*level_, layout_, faces_, rules, scaled(equation_on(level_->spacing(), shift), scale_),
-               relaxation.factor),
+               relaxation.factor, is_nearly_free(*level_, boundary, shift)),
       sweep_(layout_, stencil_),
       r_(layout_.size()),
       e_(layout_.size()) {

@@ -7,6 +7,7 @@
 #include "base/communicator.hpp"
 #include "matrixfree/rectangle_exchange.hpp"
 #include "matrixfree/sweep.hpp"
+#include "operators/nearly_free.hpp"
 
 namespace amrpic::matrixfree {
 
@@ -36,9 +37,9 @@ class SweptLevel {
  public:
   /// `shift`: of the Equation; `halo`: how deep the copies of other ranks' cells are. With deep ones all ranks sweep
   /// over them too, and messages are few; those of one layer are brought before each half of a sweep, which takes a
-  /// fraction of the bytes and no work beside that on own cells. Collective.
-  SweptLevel(Communicator const& comm, std::shared_ptr<Level const> level, GhostRules const& rules, Real shift,
-             Relaxation const& relaxation, int halo);
+  /// fraction of the bytes and no work beside that on own cells. `boundary`: of the domain. Collective.
+  SweptLevel(Communicator const& comm, std::shared_ptr<Level const> level, GhostRules const& rules,
+             Faces const& boundary, Real shift, Relaxation const& relaxation, int halo);
   SweptLevel(SweptLevel const&) = delete;  // the sweeps refer to the layout
   SweptLevel& operator=(SweptLevel const&) = delete;
 

@@ -12,8 +12,6 @@ namespace amrpic {
 
 namespace {
 
-using Faces = std::array<std::array<Boundary, 2>, 3>;
-
 /// Which cells a copy of a refinement level has, with `size` of the level's per cell along each axis. Corrections
 /// vanish at walls and one of the level's own cells outside its faces, at the centres of the coarser level's cells.
 ///

@@ -8,6 +8,7 @@
 #include <limits>
 
 #include "operators/multigrid_levels.hpp"
+#include "operators/nearly_free.hpp"
 
 namespace amrpic {
 
@@ -78,6 +79,6 @@ struct LevelCopy {
 /// The cells of a copy follow from those of the level alone, not from its boxes: one is kept where corrections vanish
 /// no nearer to its centre than a quarter of its spacing. `walls` are those of the level.
 std::vector<LevelCopy> semicoarse_copies(std::shared_ptr<Level const> const& level, WallGhosts const& walls,
-                                         std::array<std::array<Boundary, 2>, 3> const& boundary, int max_grid_size);
+                                         Faces const& boundary, int max_grid_size);
 
 }  // namespace amrpic

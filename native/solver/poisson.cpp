@@ -8,6 +8,7 @@
 #include "base/constants.hpp"
 #include "base/error.hpp"
 #include "freespace/density.hpp"
+#include "operators/nearly_free.hpp"
 #include "operators/semicoarse.hpp"
 #include "solver/compressed_rows.hpp"
 #include "solver/kokkos_backend.hpp"
@@ -79,19 +80,25 @@ void PoissonSolver::set_open_walls(Field const& rho) {
   }
 }
 
-/// Where constants are in the null space, only a right-hand side without mean has a solution. Returns how large f may
-/// be by the rounding of what cancelled in it alone. What cancelled in rho is at least `deposited` (C).
-Real PoissonSolver::remove_net_charge(Field const& rho, Real deposited) {
+/// Of the domain in the solver's coordinates, m^3.
+Real PoissonSolver::volume() const {
+  Real out = 1;
+  for (int d = 0; d < 3; ++d) out *= hierarchy_->domain().upper[d] - hierarchy_->domain().lower[d];
+  return out;
+}
+
+/// Where constants are in the null space, only a right-hand side without mean has a solution; where screening holds
+/// them, that mean is kappa^2 times the one of phi. What cancelled in rho is at least `deposited` (C).
+PoissonSolver::Removed PoissonSolver::remove_net_charge(Field const& rho, Real deposited) {
   constexpr Real balanced = 1e-10;  // fraction of all charge that sums over many cells and particles may miss
   constexpr Real last_digits = 4 * std::numeric_limits<Real>::epsilon();
-  Real volume = 1;
-  for (int d = 0; d < 3; ++d) volume *= hierarchy_->domain().upper[d] - hierarchy_->domain().lower[d];
+  Real const volume = this->volume();
   Real const stretched_volume = options_.stretch[0] * options_.stretch[1] * options_.stretch[2];
   auto const [net, left] = backend_->integrate_right_hand_side();
   Real const magnitude = std::max(left, deposited / vacuum_permittivity * stretched_volume);
   Real const mean = net / volume;
   Real rounding = last_digits * magnitude / volume;
-  if (!options_.neutralize && std::abs(net) > balanced * magnitude) {
+  if (options_.screening == 0 && !options_.neutralize && std::abs(net) > balanced * magnitude) {
     rounding = std::max(rounding, rounding_of_subtraction(rho) / vacuum_permittivity);
     if (std::abs(mean) > rounding) {
       throw SolverError("all faces are periodic or Neumann, but the net charge (with the flux through the walls) is " +
@@ -104,7 +111,7 @@ Real PoissonSolver::remove_net_charge(Field const& rho, Real deposited) {
   // stop the residual where little else remains, as between two swings of a plasma.
   backend_->take_away({mean, 0});
   backend_->take_away({mean, backend_->integrate_right_hand_side().net / volume});
-  return rounding;
+  return {mean, rounding};
 }
 
 /// Whether all values on all ranks are finite. Collective.
@@ -115,13 +122,13 @@ bool PoissonSolver::is_finite(Field const& phi) const {
   return !hierarchy_->comm().any(bad);
 }
 
-/// Take the mean over the domain away from phi, where the boundary leaves it free.
-void PoissonSolver::fix_constant(Field& phi) const {
+/// Give phi a mean over the domain.
+void PoissonSolver::set_mean(Field& phi, Real mean) const {
   Real sum = 0;  // over the base, whose covered cells hold means
   for (Real v : phi.level(0)) sum += v;
-  Real const mean = hierarchy_->comm().sum(sum) / Real(hierarchy_->level(0).cells());
+  Real const excess = hierarchy_->comm().sum(sum) / Real(hierarchy_->level(0).cells()) - mean;
   for (int l = 0; l < hierarchy_->level_count(); ++l)
-    for (Real& v : phi.level(l)) v -= mean;
+    for (Real& v : phi.level(l)) v -= excess;
 }
 
 /// Refuse a right-hand side so small or large that the potential and its differences would leave the range of double
@@ -155,7 +162,27 @@ Real PoissonSolver::rounding_floor() const {
   return std::numeric_limits<Real>::epsilon() * backend_->largest_phi_term();
 }
 
-void PoissonSolver::iterate(SolveReport& report, Field& phi, bool from_zero, Real rounding) {
+/// Give phi its mean, which screening alone holds: that of f over kappa^2. Rounded, its values then leave a residual
+/// that no cycle reduces.
+void PoissonSolver::add_mean(SolveReport& report, Field& phi, Real of_right_hand_side, Real largest) const {
+  Real const shift = shift_of(options_), mean = -of_right_hand_side / shift;
+  set_mean(phi, mean);
+  Real const size = std::max(std::abs(of_right_hand_side), largest);
+  if (size == 0) return;
+  Equation const finest = equation_on(hierarchy_->level(hierarchy_->level_count() - 1).spacing(), shift);
+  Real const left = std::numeric_limits<Real>::epsilon() * finest.diagonal() * std::abs(mean) / size;
+  if (left <= std::max(options_.tolerance, report.floor)) return;
+  report.floor = left;
+  std::string const of_mean =
+      "rounding the mean of phi, which screening alone holds, leaves " + scientific(left) + " of the right-hand side";
+  report.reason += "; " + of_mean;
+  if (left <= 1) return;
+  report.converged = false;
+  report.reason = of_mean + ": it is too large for double precision to hold differences between neighbours";
+}
+
+/// `largest`: magnitude of f; `rounding`: see Removed.
+void PoissonSolver::iterate(SolveReport& report, Field& phi, bool from_zero, Real largest, Real rounding) {
   auto finish = [&](bool converged, std::string reason) {
     report.converged = converged;
     report.reason = std::move(reason);
@@ -164,12 +191,13 @@ void PoissonSolver::iterate(SolveReport& report, Field& phi, bool from_zero, Rea
     for (int l = 0; l < hierarchy_->level_count(); ++l) std::fill(phi.level(l).begin(), phi.level(l).end(), 0.0);
     backend_->start(phi, true);
   };
-  Real const largest = backend_->largest_right_hand_side();
   if (largest <= rounding) {
     start_from_zero();
     report.residuals.push_back(0);
-    return finish(true, largest == 0 ? "the right-hand side is zero"
-                                     : "the charge is uniform to rounding, so the potential is zero");
+    return finish(true, options_.screening > 0 && rounding > 0
+                            ? "the charge is uniform to rounding, and so is the potential"
+                        : largest == 0 ? "the right-hand side is zero"
+                                       : "the charge is uniform to rounding, so the potential is zero");
   }
   check_size(largest);
   Real const size = backend_->right_hand_side_norm();
@@ -194,7 +222,9 @@ void PoissonSolver::iterate(SolveReport& report, Field& phi, bool from_zero, Rea
     if (residual <= options_.tolerance) return finish(true, "tolerance reached");
     if (residual * size <= options_.absolute_tolerance) return finish(true, "absolute tolerance reached");
     if (!std::isfinite(residual)) return finish(false, "the residual is not finite");
-    if (residual > 1e6 * std::max(report.residuals.front(), Real(1))) return finish(false, "the cycles diverge");
+    // Of a potential that little holds, what corrections in single precision round is that large at first.
+    if (residual > 1e6 * std::max(report.residuals.front(), Real(1)) && residual > 1e10 * rounding_floor() / size)
+      return finish(false, "the cycles diverge");
     if (options_.to_discretisation && report.cycles > (goes_by_known ? 0 : 1) && below_discretisation(report, size))
       return finish(true, "error left is below a tenth of the estimated " + scientific(report.mesh_error.error) +
                               " V of the mesh");
@@ -210,6 +240,10 @@ void PoissonSolver::iterate(SolveReport& report, Field& phi, bool from_zero, Rea
       Real const floor = rounding_floor() / size;
       if (residual <= 10 * floor) {
         report.floor = floor;
+        if (floor > 1)
+          return finish(false,
+                        "rounding alone leaves " + scientific(floor) +
+                            " of the right-hand side: the walls hold the potential too weakly for double precision");
         return finish(true, "rounding floor of about " + scientific(floor) + " reached");
       }
     }
@@ -264,11 +298,16 @@ SolveReport PoissonSolver::solve(Field const& rho, Field& phi, bool from_zero, M
   backend_->stopwatch().reset();
   if (wall_plan_) stopwatch_.time("open boundary", [&] { set_open_walls(rho); });
   backend_->set_right_hand_side(rho);
-  bool const singular = is_singular(hierarchy_->domain(), options_);
-  Real const rounding = singular ? remove_net_charge(rho, deposited) : 0;
-  iterate(report, phi, from_zero, rounding);
+  Removed removed{0, 0};
+  bool const leaves_mean = is_mean_left_free(hierarchy_->level(0), hierarchy_->domain().boundary, shift_of(options_));
+  if (leaves_mean) {
+    removed = remove_net_charge(rho, deposited);
+    if (!from_zero && options_.screening > 0) set_mean(phi, 0);
+  }
+  Real const largest = backend_->largest_right_hand_side();
+  iterate(report, phi, from_zero, largest, removed.rounding);
   backend_->finish();
-  if (singular) fix_constant(phi);
+  if (leaves_mean) options_.screening > 0 ? add_mean(report, phi, removed.mean, largest) : set_mean(phi, 0);
   report.seconds = stopwatch_.seconds();
   for (auto const& [stage, seconds] : backend_->stopwatch().seconds()) report.seconds[stage] = seconds;
   return report;

@@ -78,12 +78,18 @@ class PoissonSolver {
  private:
   void plan_open_walls();
   void set_open_walls(Field const& rho);
-  Real remove_net_charge(Field const& rho, Real deposited);
+  struct Removed {
+    Real mean;      ///< of f
+    Real rounding;  ///< how large what is left may be by the rounding of what cancelled in it alone
+  };
+  Removed remove_net_charge(Field const& rho, Real deposited);
+  Real volume() const;
   bool is_finite(Field const& phi) const;
-  void fix_constant(Field& phi) const;
+  void set_mean(Field& phi, Real mean) const;
   Real rounding_floor() const;
   void check_size(Real right_hand_side) const;
-  void iterate(SolveReport& report, Field& phi, bool from_zero, Real rounding);
+  void iterate(SolveReport& report, Field& phi, bool from_zero, Real largest, Real rounding);
+  void add_mean(SolveReport& report, Field& phi, Real of_right_hand_side, Real largest) const;
   bool is_slow(std::vector<Real> const& residuals) const;
   bool below_discretisation(SolveReport& report, Real right_hand_side);
 

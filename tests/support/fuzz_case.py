@@ -42,6 +42,7 @@ class Case:
     ranks: int = 1
     backend: str = "matrix-free"
     isa: str = ""  # AMRPIC_ISA of the processes; "": the best one
+    screening: float = 0.0  # 1/m
 
     @property
     def aspect_ratio(self) -> float:
@@ -55,6 +56,11 @@ class Case:
 
     @property
     def singular(self) -> bool:
+        return self.closed and self.screening == 0
+
+    @property
+    def closed(self) -> bool:
+        """Whether no wall holds the potential."""
         return all(face in ("neumann", "periodic") for pair in self.boundary for face in pair)
 
     @property
@@ -90,6 +96,8 @@ class Case:
         options = "tolerance=1e-10, backend=backend"
         if self.stretch != (1, 1, 1):
             options += f", stretch={self.stretch}"
+        if self.screening > 0:
+            options += f", screening={self.screening}"
         if self.singular:
             options += ', background="neutralizing"'
         pairs = [lower if lower == upper else (lower, upper) for lower, upper in self.boundary]

@@ -52,8 +52,10 @@ LARGE = Size(fewest=2_000, most=300_000, rows=30_000, open_aspect=100)
 
 
 def draw(seed: int, number: int, size: Size) -> Case:
-    """Case `number` of a seed."""
+    """Case `number` of a seed; in every fourth little holds the potential."""
     rng = np.random.default_rng([seed, number])
+    if number % 4 == 3:
+        return draw_nearly_free(rng, size)
     boundary = draw_boundary(rng)
     backend = "crs" if rng.random() < 0.2 else "matrix-free"
     most = round(math.exp(rng.uniform(math.log(size.fewest), math.log(size.most))))
@@ -70,6 +72,59 @@ def draw(seed: int, number: int, size: Size) -> Case:
     boxes = max(blocking, int(rng.choice([blocking, 6, 8, 12, 14, 16, 24, 32, 64])))
     ranks = int(rng.integers(1, 5))
     return Case(cells, spacing, boundary, levels, blocking, stretch, source, guess, boxes, ranks, backend)  # type: ignore[arg-type]
+
+
+def draw_nearly_free(rng: np.random.Generator, size: Size) -> Case:
+    """A domain up to 1e5 times as long as its cells are short, by cells of up to 1:1000 or by many of them, and walls or
+    screening that hold the smoothest potential as weakly as that, or more weakly."""
+    backend = str(rng.choice(["matrix-free", "matrix-free", "kokkos", "crs"]))
+    most = round(math.exp(rng.uniform(math.log(size.fewest), math.log(size.most))))
+    most = min(most, size.rows) if backend == "crs" else most
+    blocking = int(rng.choice([2, 4, 8]))
+    kinds = ["dirichlet", "neumann", "neumann", "periodic"]
+    pairs = [tuple(str(kind) for kind in rng.choice(kinds, 2)) for _ in range(3)]
+    pairs = [("periodic",) * 2 if "periodic" in pair else pair for pair in pairs]
+    edges = np.ones(3)
+    match str(rng.choice(["cells", "domain", "cube"])):
+        case "cells":
+            cells = draw_extents(rng, most)
+            edges = draw_edges(rng, 1000.0)
+        case "domain":
+            across = [int(n) for n in rng.integers(2, 9, 2)]
+            long = int(rng.integers(0, 3))
+            cells = tuple(np.insert(across, long, max(2, min(65536, most // math.prod(across)))))  # type: ignore[assignment]
+            edges[long] = min(1000.0, math.exp(rng.uniform(0, math.log(1e5 / cells[long]))))
+            pairs = [pair if d == long else str(rng.choice(["neumann", "periodic"])) for d, pair in enumerate(pairs)]
+            pairs = [(pair, pair) if isinstance(pair, str) else pair for pair in pairs]
+        case _:
+            cells = draw_extents(rng, most)
+            pairs = [(str(rng.choice(["neumann", "periodic"])),) * 2 for _ in range(3)]
+    boundary: Faces = tuple(pairs)  # type: ignore[assignment]
+    cells = tuple(map(int, cells))  # type: ignore[assignment]
+    levels = draw_levels(rng, cells, blocking, boundary, most) if rng.random() < 0.6 else ()
+    screening = 0.0
+    if rng.random() < 0.5:
+        screening = 2 ** len(levels) * math.exp(rng.uniform(math.log(1e-7), math.log(30))) / float(edges.min())
+    stretch = draw_stretch(rng, edges)
+    spacing = tuple(float(f"{e / s:.4g}") for e, s in zip(edges, stretch, strict=True))
+    guess = str(rng.choice(["none", "none", "none", "random", "previous"]))
+    boxes = max(blocking, int(rng.choice([blocking, 6, 8, 12, 14, 16, 24, 32, 64])), max(cells) // 256)
+    ranks, source = int(rng.integers(1, 5)), draw_source(rng)
+    return Case(
+        cells,
+        spacing,
+        boundary,
+        levels,
+        blocking,
+        stretch,
+        source,
+        guess,
+        boxes,
+        ranks,
+        backend,
+        "",
+        float(f"{screening:.3g}"),
+    )  # type: ignore[arg-type]
 
 
 def draw_extents(rng: np.random.Generator, most: int) -> tuple[int, int, int]:
@@ -235,6 +290,8 @@ def plainer(case: Case) -> Iterator[Case]:
         yield replace(case, guess="none")
     if case.source != GAUSSIAN:
         yield replace(case, source=GAUSSIAN)
+    if case.screening:
+        yield replace(case, screening=0.0)
     yield from plainer_boundary(case)
     yield from plainer_shape(case)
     for number, boxes in enumerate(case.levels):

@@ -12,8 +12,9 @@ import ctypes
 import statistics
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 from cases import Problem, problem
@@ -49,6 +50,7 @@ def first(cells: int) -> bool:
         cycles.append(report.cycles)
     found = [far(*potentials)]
     say(f"solve, {small.cells} cells: cycles {cycles[0]} and {cycles[1]} on the host, φ differs by {found[0]:.1e}")
+    kinds: list[dict[str, Callable[[], Any]]]
     kinds = [stages(4000, cells, cells, kernels=kernels) for kernels in ("kokkos", "vectors")]
     rho = [np.concatenate([patch.data.ravel() for patch in kind["deposit"]().patches]) for kind in kinds]
     momenta = [kind["gather+push"]().momentum for kind in kinds]
@@ -95,7 +97,7 @@ def seconds(work: Callable[[], object], repeats: int = 5) -> float:
     return statistics.median(taken)
 
 
-def beside(name: str, count: int, unit: str, works: list[Callable[[], object]]) -> None:
+def beside(name: str, count: int, unit: str, works: Sequence[Callable[[], object]]) -> None:
     ours, core = (seconds(work) for work in works)
     say(
         f"{name}: {1e9 * ours / count:.2f} ns per {unit}, a core {1e9 * core / count:.2f}, {core / ours:.2f} times as fast"

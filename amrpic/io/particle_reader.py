@@ -69,7 +69,9 @@ def _of_checkpoint(path: Path) -> ParticleDump:
     bunches = [NamedBunches(bunch.name, bunch.copies, bunch.number) for bunch in scene.bunches]
     window = window_of(header.extra.get("course", {}).get("window", {}))
     particles = Particles(position, momentum, weight, ids, table).in_laboratory(window)
-    return ParticleDump(path, header.step, header.time, particles, Groups.of(table, bunches), window.shown(scene.domain.value))
+    return ParticleDump(
+        path, header.step, header.time, particles, Groups.of(table, bunches), window.shown(scene.domain.value)
+    )
 
 
 def _of_openpmd(path: Path) -> ParticleDump:

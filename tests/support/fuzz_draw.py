@@ -92,10 +92,10 @@ def draw_nearly_free(rng: np.random.Generator, size: Size) -> Case:
         case "domain":
             across = [int(n) for n in rng.integers(2, 9, 2)]
             long = int(rng.integers(0, 3))
-            cells = tuple(np.insert(across, long, max(2, min(65536, most // math.prod(across)))))  # type: ignore[assignment]
+            cells = tuple(np.insert(across, long, max(2, min(65536, most // math.prod(across)))))
             edges[long] = min(1000.0, math.exp(rng.uniform(0, math.log(1e5 / cells[long]))))
-            pairs = [pair if d == long else str(rng.choice(["neumann", "periodic"])) for d, pair in enumerate(pairs)]
-            pairs = [(pair, pair) if isinstance(pair, str) else pair for pair in pairs]
+            free = [str(rng.choice(["neumann", "periodic"])) if d != long else "" for d in range(3)]
+            pairs = [(kind, kind) if kind else pair for kind, pair in zip(free, pairs, strict=True)]
         case _:
             cells = draw_extents(rng, most)
             pairs = [(str(rng.choice(["neumann", "periodic"])),) * 2 for _ in range(3)]
@@ -106,13 +106,13 @@ def draw_nearly_free(rng: np.random.Generator, size: Size) -> Case:
     if rng.random() < 0.5:
         screening = 2 ** len(levels) * math.exp(rng.uniform(math.log(1e-7), math.log(30))) / float(edges.min())
     stretch = draw_stretch(rng, edges)
-    spacing = tuple(float(f"{e / s:.4g}") for e, s in zip(edges, stretch, strict=True))
+    x, y, z = (float(f"{e / s:.4g}") for e, s in zip(edges, stretch, strict=True))
     guess = str(rng.choice(["none", "none", "none", "random", "previous"]))
     boxes = max(blocking, int(rng.choice([blocking, 6, 8, 12, 14, 16, 24, 32, 64])), max(cells) // 256)
     ranks, source = int(rng.integers(1, 5)), draw_source(rng)
     return Case(
         cells,
-        spacing,
+        (x, y, z),
         boundary,
         levels,
         blocking,
@@ -124,7 +124,7 @@ def draw_nearly_free(rng: np.random.Generator, size: Size) -> Case:
         backend,
         "",
         float(f"{screening:.3g}"),
-    )  # type: ignore[arg-type]
+    )
 
 
 def draw_extents(rng: np.random.Generator, most: int) -> tuple[int, int, int]:

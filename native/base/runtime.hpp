@@ -12,8 +12,8 @@ namespace amrpic {
 /// Start Tpetra, and with it Kokkos, on MPI_COMM_WORLD; a second call does nothing. MPI must be initialised.
 void initialize();
 
-/// Start a Kokkos that is built without Trilinos, at its first use: where its kernels find no device, all else of the module
-/// works. Throws SolverError with the reason then, each time.
+/// Start a Kokkos that is built without Trilinos, at its first use: where its kernels find no device, all else of the
+/// module works. Throws SolverError with the reason then, each time.
 void require_kokkos();
 
 /// Run all live `AtFinalize` callbacks, then stop Tpetra and Kokkos; without effect unless initialised. Collective.
@@ -56,8 +56,8 @@ class UntilFinalize {
 /// "13.2": version of the Trilinos this was compiled with; empty if it was without one, as below.
 std::string trilinos_version();
 
-/// "Kokkos 3.4.1 (Serial, concurrency 1)": the execution space of kernels, that of Tpetra's default node; with the name of
-/// its graphics card, or the reason why there is none.
+/// "Kokkos 3.4.1 (Serial, concurrency 1)": the execution space of kernels, that of Tpetra's default node; with the name
+/// of its graphics card, or the reason why there is none.
 std::string kokkos_backend();
 
 /// First line of what the MPI library says of itself.

@@ -47,7 +47,7 @@ MISTAKES = {
     'structure={kind="crystals"}': "structure .*crystals.* has an unknown kind; use one of voronoi, voxels, regions",
     "points={per_axis=0}": "points.per_axis .* is not greater than or equal to 1",
     "floor_stiffness=-1": "floor_stiffness .* is not greater than or equal to 0",
-    'gravity="9.81 N"': 'gravity.* has the unit "N", which is not a acceleration',
+    'gravity="9.81 N"': 'gravity.* has the unit "N", which is not an acceleration',
 }
 
 

@@ -91,7 +91,7 @@ CASES: dict[str, dict[str, Any]] = {
     "turned round in its window": {"bunches": bunch(momentum_spread=[0, 0, 0.001 * MC]), "elements": [MIRROR],
         "motion": FOLLOW},
     "a window beyond the lattice": {"bunches": bunch(momentum=[0, 0, 20 * MC]), "motion": {**FOLLOW, "dt": "1 us"}},
-    "steps across the whole domain": {"bunches": bunch(), "domain": PERIODIC, "motion": {"dt": "1 us"}},
+    "steps across the whole domain": {"bunches": bunch(), "domain": PERIODIC, "motion": {"dt": "0.1 us"}},
     "no motion": {"bunches": bunch(), "motion": STATIC},
     "a single plane of cells": {"bunches": bunch(), "domain": {"cells": [2, 2, 2]}},
 }  # fmt: skip

@@ -25,4 +25,5 @@ def test_the_beam_line_of_the_page_loses_a_sixth_at_its_collimator(tmp_path: Pat
     assert at_collimator.sum() / 20_000 == pytest.approx(1 / 6, abs=0.02)
     assert np.all(np.abs(lost.particles.position[at_collimator, 2] - 0.1) < 0.0101)
     assert len(seen) == pytest.approx(20_000 - len(lost), abs=20)
-    assert not simulation.remarks
+    [remark] = simulation.remarks
+    assert "outside the domain at the start" in remark

@@ -211,7 +211,7 @@ def test_other_steps_are_refused(dt, text):
         (lambda dt: scene(dt=dt), "cell of the finest level along z", 2),
         (lambda dt: scene(ELEMENTS["cyclotron period"][0], dt), "cyclotron period in elements.0", 50),
         (lambda dt: scene(ELEMENTS["betatron period"][0], dt), "betatron period in elements.0", 50),
-        (lambda dt: scene(ELEMENTS["gain of γ m c"][0], dt), "gain of γ m c in elements.0", 10),
+        (lambda dt: scene(ELEMENTS["gain of γ m c"][0], dt), "gain of γ m c in elements.0", 250),
         (lambda dt: scene(ELEMENTS["passage through"][0], dt), "passage through elements.0 or its fringe", 20),
         (lambda dt: scene(ELEMENTS["or its fringe"][0], dt), "passage through elements.0 or its fringe", 20),
         (lambda dt: ball(1.0, dt), "plasma period", 60 / (4 * np.pi)),

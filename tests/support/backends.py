@@ -53,11 +53,12 @@ def on_a_card() -> bool:
     return DEFAULT == "kokkos" and " on " in _native.kokkos_backend()
 
 
-def same_sums(ours: np.ndarray, others: np.ndarray) -> bool:
-    """Whether sums over the same particles are equal: bit by bit, on a card, which adds in any order, to rounding."""
+def same_sums(ours: np.ndarray, others: np.ndarray, rounding: float = 1e-13) -> bool:
+    """Whether sums over the same particles are equal, or what follows of them: bit by bit, but on a card, which adds in any
+    order, to `rounding` of the largest."""
     if not on_a_card():
         return np.array_equal(ours, others)
-    return bool(np.allclose(ours, others, rtol=0, atol=1e-13 * np.max(np.abs(others), initial=0)))
+    return bool(np.allclose(ours, others, rtol=0, atol=rounding * np.max(np.abs(others), initial=0)))
 
 
 def executed(backend: str) -> str:

@@ -25,7 +25,7 @@ from ..run.adapt import follow, make_base
 from ..run.course import Course
 from ..run.folder import prepare
 from ..run.forecast import forecast
-from ..run.initial_particles import make_bunches
+from ..run.initial_particles import make_bunches, start_of
 from ..run.limits import machine_memory
 from ..run.memory import MIB, run_memory
 from ..run.particle_fields import ParticleFields
@@ -72,6 +72,8 @@ def preview(comm: MPI.Comm, scene: Scene, ranks: int, seconds: float = 0.0) -> s
     with progress("making particles"):
         bunches = [bunch.seen_from(course.window) for bunch in make_bunches(comm, scene)]
     made_in = comm.allreduce(time.perf_counter() - begun, op=MPI.MAX)
+    start, of_start = start_of(comm, scene)
+    notes += of_start
     plan.settle_clouds(bunches)
     particles, gone = migrate(concatenate(bunches), base)
     fields = follow(ParticleFields(particles, base, plan))
@@ -90,7 +92,7 @@ def preview(comm: MPI.Comm, scene: Scene, ranks: int, seconds: float = 0.0) -> s
         _memory(fields, made, ranks),
         _time(comm, scene, fields.hierarchy, ranks, made_in, seconds) if seconds > 0 else [],
         [f"note: {note}" for note in [*scene.remarks(), *plan.remarks, *plan.notes, *notes]],
-        list(map(str, _pictures(scene, fields.rho, course.window))),
+        list(map(str, _pictures(scene, fields.rho, start, course.window))),
     ]
     return "\n\n".join("\n".join(lines) for lines in paragraphs if lines)
 
@@ -268,11 +270,11 @@ def _last_mesh(fields: ParticleFields) -> tuple[Hierarchy, str]:
 # ---- pictures ----
 
 
-def _pictures(scene: Scene, rho: Field, window: Window) -> list[Path]:
+def _pictures(scene: Scene, rho: Field, start: float, window: Window) -> list[Path]:
     """Write mesh and charge density as a field file, draw them along the three axes, and return the paths. Collective."""
     path = scene.directory / FILE
-    vtkhdf_writer.write(path, rho.hierarchy, {"rho": rho}, 0, 0.0, about(scene), writers_of(scene), window)
-    dump = LiveDump(path, rho.hierarchy, {"rho": rho}, 0, 0.0, window=window)
+    vtkhdf_writer.write(path, rho.hierarchy, {"rho": rho}, 0, start, about(scene), writers_of(scene), window)
+    dump = LiveDump(path, rho.hierarchy, {"rho": rho}, 0, start, window=window)
     with progress("drawing pictures"):
         return [path, *draw(dump, path.parent, [View("rho", "projection", axis) for axis in range(len(AXES))])]
 

@@ -112,14 +112,29 @@ def when(file: str | Path, iteration: int | None = None, group: str | None = Non
 
 
 def domain_of(file: str | Path) -> Domain | None:
-    """Return the domain of the run that wrote a file; None of another program's file, or if it moves. Raises InputError."""
-    with _opened(Path(file)) as h5:
+    """Return the domain of the run that wrote a file, where it is in the laboratory then. Raises InputError.
+
+    None of another program's file, if it may have turned, or of particles of several times in a domain that moves.
+    """
+    path = Path(file)
+    with _opened(path) as h5:
         ours = h5.get("amrpic/scene")
         scene = json.loads(ours.asstr()[()]) if isinstance(ours, h5py.Dataset) else {}
-    domain = scene.get("domain")
-    if not domain or scene.get("motion", {}).get("window", "none") != "none":
+        domain, origin = scene.get("domain"), np.zeros(3)
+        if domain and scene.get("motion", {}).get("window", "none") != "none":
+            group = next(iter(_particles(path, h5, None).values()), None)
+            turns = all(face == "open" for faces in domain["boundary"].values() for face in faces)
+            if turns or group is None or isinstance(group.get("time"), h5py.Dataset):
+                return None
+            origin = np.array([group[f"positionOffset/{axis}"].attrs["value"] for axis in AXES])
+    if not domain:
         return None
-    return Domain(domain["lower"], domain["upper"], domain["cells"], domain["boundary"])
+    return Domain(
+        tuple((domain["lower"] + origin).tolist()),
+        tuple((domain["upper"] + origin).tolist()),
+        domain["cells"],
+        domain["boundary"],
+    )
 
 
 def _opened(path: Path) -> contextlib.AbstractContextManager[h5py.File]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -91,6 +92,17 @@ class Window:
         """Return by how much, in m, the corners of the domain are shown beside their places, since the axes are turned."""
         corners = np.array(list(itertools.product(*zip(domain.lower, domain.upper, strict=True)))) - self.pivot
         return float(np.linalg.norm(self.to_laboratory(corners) - corners, axis=1).max())
+
+
+def part_of(turn: np.ndarray, share: float) -> np.ndarray:
+    """Return the matrix (3, 3) that turns by a share of the angle of another one, which is below half a turn."""
+    w = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2  # axis times sine
+    sine = float(np.linalg.norm(w))
+    if sine == 0:
+        return np.eye(3)
+    angle = share * math.atan2(sine, (np.trace(turn) - 1) / 2)
+    cross = np.cross(np.eye(3), w / sine)  # its product with a vector is axis × vector
+    return np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross
 
 
 def vector(of: ArrayLike) -> Vector:

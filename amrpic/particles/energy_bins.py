@@ -13,6 +13,7 @@ from mpi4py import MPI
 
 from ..errors import InputError
 from ..mesh.domain import AXES, Domain
+from .arrays import empty_columns
 from .frame import LABORATORY, SLOW, STATIC, Frame
 from .motion_of_charge import Flow, Left, charges, flow, largest, left, mean_momentum, noise, rapidity
 from .motion_of_charge import momenta as momenta_of
@@ -64,6 +65,9 @@ class Frames:
     moves: tuple[float, float, float] = field(
         default=(0.0, 0.0, 0.0), compare=False
     )  # β γ of all momentum when they were made
+    turn: tuple[tuple[float, ...], ...] | None = field(
+        default=None, compare=False
+    )  # matrix that turns momenta, which lag places, along the axes of a mesh that turns as they would; None: it does not
 
     @property
     def only(self) -> Frame | None:
@@ -72,7 +76,18 @@ class Frames:
 
     def parts(self, particles: Particles) -> Iterator[Particles]:
         """Yield for each member the particles, with the weight that is its."""
-        yield from _parts(particles, self.axis, self.edges, self.of)
+        yield from _parts(particles if self.of == (ALL,) else self.straight(particles), self.axis, self.edges, self.of)
+
+    def straight(self, particles: Particles) -> Particles:
+        """Return the particles with momenta along the axes of the mesh as they are at the time of their places.
+
+        A mesh that turns with a beam has turned on since the time of momenta that lag.
+        """
+        if self.turn is None:
+            return particles
+        momentum = empty_columns(len(particles))
+        np.matmul(np.array(self.turn), particles.momentum.T, out=momentum.T)
+        return particles.replace(momentum=momentum)
 
 
 ONE_FRAME = Frames()  # that of the laboratory

@@ -83,7 +83,7 @@ def compare(first: Path, second: Path) -> Comparison:
     runs = [Results.open(MPI.COMM_SELF, folder) for folder in (first, second)]
     tables = [rows_of(run.folder) for run in runs]
     scenes = [time_series.scene_of(run.folder / SERIES) for run in runs]
-    parts: dict[str, list[Difference]] = {"series": list(_series(*tables))}
+    parts: dict[str, list[Difference]] = {"series": list(_series(tables[0], tables[1], max(map(_charge, runs))))}
     remarks: list[str] = []
     if any(run.of_points for run in runs):
         remarks.append("of material points the series are compared, not the files of points and fields")
@@ -116,15 +116,26 @@ def _relative(one: Table, other: Table, scale: float | None = None) -> tuple[flo
     return (float(apart[place]) / largest if largest > 0 else float(apart[place])), place
 
 
-def _series(one: Table, other: Table) -> Iterator[Difference]:
-    """Compare the columns that both have, at the steps that both have; a step of one alone is a difference."""
+def _charge(run: Results) -> float:
+    """Return the largest charge of a group of particles, C, with which sums that cancel are compared; 0 if it is not known."""
+    path = run.folder / "beam.csv"
+    found = np.abs(time_series.read(path)["charge"]) if path.exists() else np.zeros(0)
+    return float(found.max(initial=0.0))
+
+
+def _series(one: Table, other: Table, charge: float = 0.0) -> Iterator[Difference]:
+    """Compare the columns that both have, at the steps that both have; a step of one alone is a difference.
+
+    `charge`: of the largest group of particles, C.
+    """
     steps, here, there = np.intersect1d(one["step"], other["step"], return_indices=True)
     alone = len(one) + len(other) - 2 * len(steps)
     yield Difference("steps", math.inf if alone else 0.0, f"{alone} of one run alone" if alone else "")
     one, other = one[here], other[there]
     names = [name for name in one.dtype.names or () if name in (other.dtype.names or ()) and not name.startswith(HOW)]
     for name in names[1:]:
-        relative, place = _relative(one[name].astype(float), other[name].astype(float), _scale(name, one))
+        scale = charge if name == "charge" else _scale(name, one)
+        relative, place = _relative(one[name].astype(float), other[name].astype(float), scale)
         yield Difference(name, relative, f"at step {steps[place]}" if relative > 0 else "")
 
 
@@ -154,13 +165,15 @@ def _beam(one: Results, other: Results) -> Iterator[Difference]:
     if len(steps) == 0:
         raise _Missing
     rows = [{str(row["group"]): row for row in table[table["step"] == steps[-1]]} for table in tables]
+    charge = max(map(_charge, (one, other)))
     for group in dict.fromkeys([*rows[0], *rows[1]]):
         if not all(group in held for held in rows):
             yield Difference(group, math.inf, "in one run alone")
             continue
         for name in FINAL:
             a, b = (np.array([float(held[group][name])]) for held in rows)
-            yield Difference(f"{name} of {group}", _relative(a, b)[0], f"at step {steps[-1]}")
+            scale = charge if name == "charge" else 0.0
+            yield Difference(f"{name} of {group}", _relative(a, b, scale)[0], f"at step {steps[-1]}")
 
 
 def _latest_common(steps: Sequence[Iterable[int]]) -> int:

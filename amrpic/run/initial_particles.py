@@ -11,7 +11,6 @@ import numpy as np
 from mpi4py import MPI
 
 from ..errors import InputError
-from ..external import axes
 from ..io import openpmd_reader
 from ..io.vetting import require_readable_on_all
 from ..parallel import from_rank_0, share, together
@@ -89,8 +88,7 @@ def _as_asked(made: Particles, bunch: Bunch) -> Particles:
         made = made.with_weight(np.broadcast_to(0.0, len(made)))
     if not isinstance(bunch, MovedBunch):
         return made
-    turned = np.array(axes(bunch.axis, bunch.roll))  # rows are where its own axes point to
-    position, momentum = made.position, made.momentum
+    turned, position, momentum = bunch.axes, made.position, made.momentum
     if (turned != np.eye(3)).any():
         position, momentum = position @ turned, momentum @ turned
     return made.replace(position + bunch.shift if any(bunch.shift) else position, momentum)

@@ -70,8 +70,8 @@ class Recorder:
         self._since = time.perf_counter() - sum(state.seconds.values())
         self._log = RunLog(comm, scene.schedule.last_step, how=log)
         self._log.note(f"kernels: {isa.description()}")
-        for note in () if resumed else plan.notes:
-            self._log.note(note)
+        self._noted = len(plan.notes) if resumed else 0  # of what the run chose by itself, those that the log has
+        self._note()
         if self._wanted and not resumed and (earlier := set_aside(comm, scene.directory)) is not None:
             self._log.note(earlier)
         self._state_is(state)
@@ -119,6 +119,7 @@ class Recorder:
                 self._beam.record(state)
             if series := self._all_series():
                 settle(self._comm, series)
+            self._note()
             self._log.step(row)
             if row["particles"] == 0 and row["lost_particles"] > 0:
                 self._log.warn(
@@ -143,6 +144,12 @@ class Recorder:
                 self._write_checkpoint(state)
             self._status.says(self._plan.notes, self._log.warned)
             self._status.step(row, self._log.pace, self._plan.dt, self._written)
+
+    def _note(self) -> None:
+        """Say in the log what the run has chosen by itself since the latest time."""
+        for note in self._plan.notes[self._noted :]:
+            self._log.note(note)
+        self._noted = len(self._plan.notes)
 
     def _astray(self, state: State) -> Iterator[str]:
         """Remark once that files and pictures show a mesh that has turned along the axes of the laboratory."""

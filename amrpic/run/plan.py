@@ -14,6 +14,7 @@ from ..errors import InputError, SolverError
 from ..external import ExternalFields, Maps, read_maps
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
+from ..mesh.window import vector
 from ..parallel import from_rank_0, own
 from ..particles.clouds import EQUAL_PARTICLES, PAYING, Clouds, compensation_pays, matched_pays
 from ..particles.energy_bins import ONE_FRAME, Frames, frames_of
@@ -72,18 +73,22 @@ class Plan:
         last: Frames = ONE_FRAME,
         lost: Particles | None = None,
         anew: bool = True,
+        turn: np.ndarray | None = None,
     ) -> Frames:
         """Return the frames in which to solve for the field of particles that move. Collective; InputError on all ranks.
 
         `last` are those of the step before, whose energy bins stay unless they are chosen `anew`. Where no frame fits them, a
-        single particle and the last few of which the others are `lost` keep them.
+        single particle and the last few of which the others are `lost` keep them. `turn`: see `Frames`.
         """
         motion = self.scene.motion
         if not isinstance(motion, Leapfrog):
             return ONE_FRAME
         bins = None if motion.energy_bins == "auto" else motion.energy_bins
+        last = replace(last, turn=None if turn is None else tuple(map(vector, turn)))
         try:
-            found = frames_of(self.comm, particles, self.scene.domain.value, motion.frame, bins, last, anew)
+            found = frames_of(
+                self.comm, last.straight(particles), self.scene.domain.value, motion.frame, bins, last, anew
+            )
         except InputError:
             if particles.global_count(self.comm) > 1 and self._share_left(particles, lost) > FEW:
                 raise
@@ -94,7 +99,7 @@ class Plan:
             return last
         if anew:
             self._say_what_is_left(found)
-        return found
+        return replace(found, turn=last.turn)
 
     def _say_what_is_left(self, frames: Frames) -> None:
         """Note in how many frames the self-field is solved for and the estimated error, again where either grew by much."""

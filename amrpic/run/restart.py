@@ -21,7 +21,7 @@ from ..io.writer_ranks import Writers
 from ..mesh.domain import AXES, FACES, Domain
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
-from ..mesh.window import Window
+from ..mesh.window import Window, vector
 from ..particles.arrays import repeated
 from ..particles.energy_bins import Charge, Frames
 from ..particles.frame import Frame
@@ -233,7 +233,10 @@ def _frames(extra: Mapping[str, Any]) -> Frames:
         edges = tuple(math.copysign(math.acosh(math.exp(abs(edge))), edge) for edge in held["edges"])
         return Frames(members, held["axis"], edges, tuple((Charge(bin),) for bin in range(len(members))))
     of = tuple(tuple(Charge(*charge) for charge in part) for part in held["of"])
-    return Frames(members, held["axis"], tuple(held["edges"]), of, held["error"], held["across"], tuple(held["moves"]))
+    turn = None if held.get("turn") is None else tuple(map(vector, held["turn"]))
+    return Frames(
+        members, held["axis"], tuple(held["edges"]), of, held["error"], held["across"], vector(held["moves"]), turn
+    )
 
 
 def _records(held: Snapshot, species: SpeciesTable, domain: Domain) -> tuple[Record, Record]:

@@ -94,6 +94,7 @@ def superposed(
     """Return the sum of what was solved for each bin, beside the field of what walls hold."""
     hierarchy = rho.hierarchy
     phi, electric, magnetic = Field(hierarchy, "V"), zeros(hierarchy, "V/m"), zeros(hierarchy, "T")
+    phi.holds = parts[0][1].holds
     for frame, part, field, _ in parts:
         _add(phi, 1.0, part)
         field = field.with_components()

@@ -10,6 +10,7 @@ from mpi4py import MPI
 
 from ..errors import InputError
 from ..mesh.domain import Domain
+from ..mesh.window import part_of
 from ..particles.energy_bins import EVERY
 from ..particles.particles import Particles
 from ..scene.motion import Leapfrog, RandomWalk
@@ -36,7 +37,9 @@ def advance(state: State, plan: Plan) -> State:
         moved = _moved(state, plan)
     with plan.clock("migrate"):
         particles, deposition, lost, screens = fly(state, moved, course.window, plan)
-    frames = plan.frames(particles, state.solution.frames, lost.particles, anew=step % EVERY == 0)
+    turn = state.window.turn_to(course.window)
+    behind = None if turn is None else part_of(turn.T, plan.dt / 2 / state.flight)  # momenta are, of the latest turn
+    frames = plan.frames(particles, state.solution.frames, lost.particles, step % EVERY == 0, behind)
     fields = ParticleFields(particles, state.hierarchy, plan, state.solution, frames, deposition)
     if plan.scene.refinement.regrids_at(step) or outrun(fields):
         fields = follow(fields, plan.scene.refinement.hysteresis)

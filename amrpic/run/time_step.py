@@ -146,6 +146,7 @@ def own_processes(
     plan: Plan, particles: Particles, hierarchy: Hierarchy, frames: Frames, solution: Solution | None = None
 ) -> Iterator[Process]:
     """Return what the charge of the particles does, and their own field if it is known. Collective."""
+    particles, frames = frames.straight(particles), replace(frames, turn=None)
     of_all, single = (law(particles, hierarchy, plan.clouds, frames) for law in (plasma_frequency, oscillation))
     what = "plasma period" if single < 1.1 * of_all else "oscillation of a particle in the charge of all"
     period = _time(2 * math.pi, max(of_all, single))

@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from ..errors import InputError
+from ..mesh.directions import axes
 from .bunches import Bunch, DescribedBunch
 from .complaints import complaint
 from .species import Species
@@ -33,6 +34,11 @@ class MovedBunch(Bunch):
         if not any(self.axis):
             raise complaint("has no length", "give a direction", path="axis", found=list(self.axis))
         return self
+
+    @property
+    def axes(self) -> np.ndarray:
+        """Where its own axes point to: rows of a matrix (3, 3)."""
+        return np.array(axes(self.axis, self.roll))
 
 
 class OpenPMDBunch(MovedBunch):

@@ -8,6 +8,7 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
+from ..mesh.window import vector
 from .any_scene import AnyScene
 from .bunch_files import ArrayBunch, OpenPMDBunch
 from .bunch_shapes import GaussianBunch, HaloBunch, HollowBunch, KVBunch, ParabolicBunch, SphereBunch, WaterbagBunch
@@ -77,5 +78,7 @@ class SceneParts(AnyScene):
         if not isinstance(first, DescribedBunch):
             return None
         places = first.places() or [self.domain.lower, self.domain.upper]
-        x, y, z = np.mean(places, axis=0).tolist()
-        return Reference(species=first.species, momentum=first.mean_momentum, position=(x, y, z))
+        momentum = np.array(first.mean_momentum)
+        if isinstance(first, ArrayBunch):
+            momentum = momentum @ first.axes
+        return Reference(species=first.species, momentum=vector(momentum), position=vector(np.mean(places, axis=0)))

@@ -70,7 +70,8 @@ class Part:
     @property
     def rms(self) -> np.ndarray:
         """Rms of the coordinates about their mean, (7,)."""
-        return np.sqrt(np.diag(self.covariance))
+        # what rounding leaves of none may be below zero, as of a cold beam among test particles of another momentum
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
     def plane(self, axis: int) -> tuple[float, float, float]:
         """<q^2>, <q p> and <p^2> along an axis."""

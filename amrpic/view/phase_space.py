@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -61,21 +62,27 @@ def figures(
         groups = dump.groups.named(group)
     except KeyError:
         raise InputError(f"{dump.path} has no group {group}; choose among {', '.join(dump.groups.names)}") from None
-    beam = Beam(dump.particles, dump.particles)
+    particles = dump.particles
+    part = group_moments(MPI.COMM_SELF, Beam(particles, particles), groups, dump.domain)[groups.members[0]]
+    of_tests = part.particles > 0 and not part.weight > 0
+    if of_tests:  # each counts as one
+        groups = replace(groups, species=tuple(replace(one, charge=0.0) for one in groups.species))
+        particles = particles.with_weight(np.broadcast_to(1.0, len(particles)))
+    beam = Beam(particles, particles)
     moments = group_moments(MPI.COMM_SELF, beam, groups, dump.domain)
     part = moments[groups.members[0]]
     if not part.weight > 0:
         raise InputError(f"{group} of {dump.path} has no particles left to draw; choose another group or dump")
-    if not dump.particles.charge.any():
+    if not (of_tests or particles.charge.any()):
         raise InputError(f"particles of {dump.path} have no charge, which pictures show; choose another dump")
     for name in quantities:
         if name == "slices":
             slices = group_slices(MPI.COMM_SELF, beam, groups, moments, SLICES)[groups.members[0]]
             yield name, draw_slices(slices, _title(dump, group))
         else:
-            members = _members(dump.particles, groups)
+            members = _members(particles, groups)
             members = members.replace(part.images.of_places(members.position))
-            yield name, draw_plane(members, part, name, _title(dump, group))
+            yield name, draw_plane(members, part, name, _title(dump, group), of_tests)
 
 
 def _title(dump: ParticleDump, group: str) -> str:
@@ -95,8 +102,11 @@ def coordinate(particles: Particles, index: int) -> tuple[Array, str]:
     return particles.momentum[:, index - 3] * (SPEED_OF_LIGHT / ELEMENTARY_CHARGE), "eV/c"
 
 
-def draw_plane(particles: Particles, part: Part, name: str, title: str) -> Figure:
-    """Return the picture of the charge in a plane of phase space, with the rms ellipse and the profiles along both axes."""
+def draw_plane(particles: Particles, part: Part, name: str, title: str, of_tests: bool = False) -> Figure:
+    """Return the picture of the charge in a plane of phase space, with the rms ellipse and the profiles along both axes.
+
+    Of test particles, which have none, it shows how many they are by their weights.
+    """
     indices = PLANES[name]
     values, labels = [], []
     pixels = int(np.clip(np.sqrt(len(particles)) / 3, FEWEST_PIXELS, MOST_PIXELS))
@@ -106,9 +116,9 @@ def draw_plane(particles: Particles, part: Part, name: str, title: str) -> Figur
         values.append(value / factor)
         labels.append(f"{NAMES[index]} / {divisor(prefix, unit)}")
     edges = _edges(values, pixels, same_scale=max(indices) < 3)
-    charge = np.abs(particles.weight * particles.charge)
+    charge = particles.weight if of_tests else np.abs(particles.weight * particles.charge)
     held, _, _ = np.histogram2d(values[0], values[1], bins=(edges[0], edges[1]), weights=charge)
-    factor, prefix = prefix_of(float(held.max()))
+    factor, prefix = (1.0, "") if of_tests else prefix_of(float(held.max()))
     held /= factor
     least = max(float(held[held > 0].min()), float(held.max()) * 10.0**-DECADES)
 
@@ -124,7 +134,7 @@ def draw_plane(particles: Particles, part: Part, name: str, title: str) -> Figur
     _draw_profile(figure.add_subplot(grid[0, 0], sharex=plane), edges[0], held.sum(axis=1), upright=True)
     _draw_profile(figure.add_subplot(grid[1, 1], sharey=plane), edges[1], held.sum(axis=0), upright=False)
     bar = figure.colorbar(image, cax=figure.add_subplot(grid[1, 2]))
-    bar.set_label(f"charge per pixel / {prefix}C")
+    bar.set_label("particles per pixel" if of_tests else f"charge per pixel / {prefix}C")
     axis = indices[0]
     about = _twiss_text(part, axis) if indices[1] == axis + 3 else ""
     figure.suptitle(

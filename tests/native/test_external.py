@@ -13,7 +13,8 @@ from scipy.integrate import quad, quad_vec, solve_ivp
 from scipy.spatial.transform import Rotation
 from scipy.special import ellipe, ellipk, j0, j1, jn_zeros
 
-from amrpic.external import ExternalFields, axes
+from amrpic.external import ExternalFields
+from amrpic.mesh.directions import axes
 from amrpic.scene.elements import (
     ENGE_OF_DIPOLES,
     ENGE_OF_QUADRUPOLES,

@@ -189,3 +189,19 @@ def test_lost_particles_are_compared_by_their_numbers(comm, tmp_path):
     assert set(largest(same, "losses").values()) == {0.0} and len(same.parts["losses"]) == 4
     kicked = largest(compare(tmp_path / "a", tmp_path / "c"), "losses")
     assert kicked["lost particles"] == math.inf and 0 < kicked["time of losses over its rms"] < 10
+
+
+@pytest.mark.mpi(ranks=(2,))
+def test_charge_that_cancels_is_compared_with_what_cancels(comm, tmp_path):
+    """Which a sum on other ranks leaves another rounding of."""
+    both = [
+        amrpic.GaussianBunch(species=kind, sigma=0.01, charge=charge, particles=701)
+        for kind, charge in (("electron", "-10 pC"), ("proton", "10 pC"))
+    ]
+    for name, ranks in (("alone", MPI.COMM_SELF), ("together", comm)):
+        if ranks is comm or comm.rank == 0:
+            given = scene(tmp_path / name, levels=0).model_copy(update={"bunches": both})
+            amrpic.Simulation(ranks, given).run(log="silent")
+        comm.barrier()
+    found = compare(tmp_path / "alone", tmp_path / "together")
+    assert found.equal(1e-6), found.beyond(1e-6)

@@ -50,6 +50,7 @@ SCENES = {
     "slopes": scene([5.0], SLOPES),
     "slopes and walls": scene([20.0], BOTH),
     "slopes and walls of two energies": scene([2.0, 20.0], BOTH),
+    "slopes and walls of two energies, order 4": scene([2.0, 20.0], BOTH, solver={"order": 4}),
     "three energies": scene([2.0, 20.0, 200.0], {}),
     "window": scene([50.0], {}, WINDOW),
     "window and walls": scene([50.0], BOTH, WINDOW),
@@ -104,6 +105,17 @@ def test_potential_field_and_energy_between_plates_are_the_same_at_all_energies(
         assert run.efield.sample([(0, 0, 0)])[0] == pytest.approx([-1e5, 0, 0], abs=0.1)
         energy = run.efield.integral_of_square() * VACUUM_PERMITTIVITY / 2
         assert energy == pytest.approx(VACUUM_PERMITTIVITY / 2 * 1e10 * 1e-6, rel=1e-6)
+
+
+@pytest.mark.parametrize("domain", [{}, BOTH], ids=["open", "walls"])
+def test_potential_of_parts_sampled_is_the_sum_of_their_potentials_in_fourth_order(domain: dict[str, Any]) -> None:
+    """Means of cells as those of one part are, which sampling takes for what they are."""
+    solution = amrpic.Simulation(MPI.COMM_SELF, scene([2.0, 20.0], domain, solver={"order": 4})).state.solution
+    parts = [*solution.parts, *(solution.walls or ())[:1]]
+    points = np.random.default_rng(1).uniform(-3e-3, 3e-3, (20, 3))
+    assert len(solution.parts) == 2 and {field.holds for field in [solution.potential, *parts]} == {"means"}
+    of_parts = sum(part.sample(points, order=4) for part in parts)
+    assert solution.potential.sample(points, order=4) == pytest.approx(of_parts, rel=1e-12)
 
 
 def test_rules_of_refinement_see_what_walls_hold() -> None:

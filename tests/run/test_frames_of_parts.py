@@ -252,3 +252,29 @@ def test_what_is_left_of_a_neutral_plasma_is_refused_beyond_rounding():
     assert solver.solve(rho, deposited=1e-8)[0].max_abs() < 1e-12
     with pytest.raises(amrpic.AmrpicError, match="net charge"):
         solver.solve(rho, deposited=1e-12)
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+@pytest.mark.parametrize("form", ["kick-drift-kick", "drift-kick-drift"])
+@pytest.mark.parametrize("energies", [(20.0, 20.4), (500.0,)])
+def test_a_window_that_turns_with_beams_in_a_dipole_leaves_them_their_frames(comm, energies, form, tmp_path):
+    """By 2π/1000 in a step, of which momenta lag half: more than 0.1/γ, and of the faster beam than 1/γ."""
+    beams = [
+        {**BEAM, "kinetic_energy": f"{one} MeV", "sigma": "1 mm", "charge": "-1 fC", "particles": 500}
+        for one in energies
+    ]
+    given = run(*beams, comm=comm, window="reference", form=form, energy_bins=2).scene.to_dict()
+    given["elements"] = [{"kind": "uniform", "magnetic_field": [0, "0.1 T", 0]}]
+    given["motion"]["dt"] = "auto"
+    simulation = amrpic.Simulation(comm, amrpic.Scene.from_dict(given))
+    for _ in range(4):
+        found = [frame.momentum for frame in simulation.state.solution.frames.members]
+        assert found == pytest.approx([np.sqrt((1 + one / 0.51099895) ** 2 - 1) for one in energies], rel=1e-3)
+        simulation.advance()
+    assert simulation.window.is_turned and not simulation.remarks
+    simulation.checkpoint(tmp_path / "checkpoint")
+    again = amrpic.Simulation.restart(comm, tmp_path / "checkpoint")
+    assert again.state.solution.frames.turn == simulation.state.solution.frames.turn is not None
+    simulation.advance()
+    again.advance()
+    assert np.array_equal(again.state.particles.momentum, simulation.state.particles.momentum)

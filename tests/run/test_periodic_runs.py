@@ -104,3 +104,32 @@ def test_a_beam_that_fills_its_period_draws_one_remark(comm, tmp_path, sigma, re
     simulation.run(log="silent")
     about = [one for one in simulation.remarks if "takes up the period along z" in one]
     assert bool(about) == remarked and len(about) <= 2  # of all particles, and of the bunch, which has the same
+
+
+def test_files_of_a_window_know_where_its_periods_are(tmp_path):
+    """So that a bunch on a face is in one piece in pictures of either. Where all faces are open the domain may have turned."""
+    for faces in ("periodic", "open"):
+        scene = scene_of(tmp_path / faces, [0, 0, 0], ("particles", "checkpoint")).to_dict()
+        scene["domain"] |= {"cells": 8, "boundary": faces}
+        scene["background"] = "none" if faces == "open" else "neutralizing"
+        scene["bunches"][0] |= {
+            "centre": [0, 0, 0.02 if faces == "periodic" else 0],
+            "kinetic_energy": "2 MeV",
+            "charge": -1e-15,
+        }
+        scene |= {"motion": {"kind": "leapfrog", "dt": "30 ps", "window": "reference"}, "schedule": {"steps": 9}}
+        run = Simulation(Scene.from_dict(scene))
+        run.run(log="silent")
+        written, held = (
+            particle_reader.read(tmp_path / faces / name) for name in ("particles_00000009.h5", "checkpoint_00000009")
+        )
+        if faces == "open":
+            assert run.window.origin[2] > 0.07 and written.domain is None
+            continue
+        assert written.domain == held.domain == run.window.shown(run.hierarchy.domain) != run.hierarchy.domain
+        for dump in written, held:
+            z = dump.particles.position[:, 2]
+            assert written.domain.lower[2] <= z.min() < z.max() <= written.domain.upper[2] and np.ptp(z) > 0.039
+            ((_, figure),) = phase_space.figures(dump, ["z-pz"])
+            left, right = next(axes for axes in figure.axes if axes.get_xlabel().startswith("z")).get_xlim()
+            assert 6 < right - left < 16  # mm

@@ -11,6 +11,7 @@ import pytest
 from mpi4py import MPI
 
 import amrpic
+from amrpic.commands.preview import preview
 from amrpic.errors import InputError
 from amrpic.io import openpmd_reader
 from amrpic.io.field_reader import open_dump
@@ -109,6 +110,13 @@ def test_files_of_several_times_are_refused_unless_the_scene_chooses(tmp_path: P
     assert "schedule.start has no effect: the run goes on at the 4.8e-11 s of the checkpoint" in again.remarks
     with pytest.raises(InputError, match=r"early\.h5 is of the time 0 s, .*late\.h5 of 4.8e-11 s; set schedule.start"):
         begun(MPI.COMM_SELF, bunches)
+    directory = {"output": {"directory": str(tmp_path / "preview"), "write": []}}
+    with pytest.raises(InputError, match=r"set schedule\.start"):
+        preview(MPI.COMM_SELF, amrpic.Scene.from_dict({**LINE, **directory, "bunches": bunches}), 1)
+    said = preview(MPI.COMM_SELF, amrpic.Scene.from_dict({**LINE, **directory, "bunches": bunches[1:]}), 1)
+    assert "note: schedule.start: 4.8e-11 s, the time of" in said
+    with open_dump(tmp_path / "preview" / "preview.vtkhdf") as dump:
+        assert dump.time == run.time
     assert begun(MPI.COMM_SELF, bunches, schedule={"start": "48 ps"}).time == 48e-12
     with h5py.File(tmp_path / "late.h5", "r+") as h5:
         h5["data/2/particles/electron/time"].attrs["value"] = np.nan

@@ -210,3 +210,23 @@ def test_a_beam_that_grows_dense_gets_a_remark_at_a_later_step(monkeypatch):
     assert "plasma period" in remark and "go on from an earlier checkpoint" in remark
     run.advance(5)
     assert sum("is long at step" in remark for remark in run.remarks) == 1
+
+
+def test_the_log_says_what_a_run_chooses_while_it_goes_on(capsys, tmp_path):
+    """Electrons that an electric field makes fast, from the step on in which they are; once, and not again by a restart."""
+    given = {
+        "domain": {"lower": "-8 mm", "upper": "8 mm", "cells": 8},
+        "bunches": [
+            {"distribution": "sphere", "species": "electron", "radius": "1 mm", "charge": "-1 fC", "particles": 50}
+        ],
+        "elements": [{"kind": "uniform", "electric_field": [0, 0, -1e7]}],
+        "motion": {"kind": "leapfrog", "dt": "1 ps", "pusher": "boris"},
+        "schedule": {"steps": 8},
+        "output": {"write": ["checkpoint"], "checkpoint_every": 6, "directory": str(tmp_path)},
+    }
+    amrpic.Simulation(MPI.COMM_SELF, amrpic.Scene.from_dict(given)).run()
+    lines = capsys.readouterr().out.splitlines()
+    [said] = [n for n, line in enumerate(lines) if line.startswith("motion.pusher: higuera-cary")]
+    assert any(line.startswith("step 0/8") for line in lines[:said])
+    amrpic.Simulation.restart(MPI.COMM_SELF, tmp_path / "checkpoint_00000006").run()
+    assert "motion.pusher" not in capsys.readouterr().out

@@ -167,3 +167,23 @@ def test_a_turned_mesh_is_shown_about_the_reference_particle(tmp_path: Path, cap
     assert Course.from_dict(course) == run.state.course
     del course["window"]["pivot"]  # which older checkpoints lack
     assert Course.from_dict(course).window.pivot == (0, 0, 0)
+
+
+def test_a_window_goes_with_a_bunch_of_arrays_that_is_turned(tmp_path: Path) -> None:
+    """Along the axis to which its momenta, given along its own z, are turned."""
+    bunch = {
+        "distribution": "arrays",
+        "position": np.random.default_rng(1).normal(0, 5e-4, (500, 3)),
+        "species": "electron",
+        "kinetic_energy": "2 MeV",
+        "charge": "-1 fC",
+        "axis": [1, 0, 0],
+        "roll": "30 deg",
+        "shift": ["1 mm", 0, 0],
+    }
+    run = amrpic.Simulation(MPI.COMM_SELF, scene(tmp_path, bunches=[bunch]))
+    before = run.particles.position.mean(axis=0)
+    run.advance(5)
+    assert run.window.origin == pytest.approx((5 * 20e-12 * 0.979 * 2.998e8, 0, 0), rel=1e-3)
+    assert len(run.lost) == 0
+    assert run.particles.position.mean(axis=0) == pytest.approx(before, abs=1e-6)

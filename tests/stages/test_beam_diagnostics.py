@@ -7,6 +7,7 @@ import warnings
 
 import numpy as np
 import pytest
+from mpi4py import MPI
 from scipy.stats import qmc
 
 from amrpic import Domain
@@ -329,6 +330,20 @@ def test_groups_have_plain_names_none_twice():
     # Bunches that are not those of the table leave its runs alone.
     assert Groups.of(table, bunches[:2]).names == ("all", "electron", "proton", "bunch_0", "bunch_1", "bunch_2")
     assert [len(layer) for layer in layers(groups.distinct)] == [1, 2, 4]
+
+
+def test_a_cold_beam_is_cold_among_test_particles_of_another_momentum():
+    """Without weight they leave rounding in its mean, and less than nothing must not come of that."""
+    count, table = 100, SpeciesTable.of_runs([(0, ELECTRON)])
+    tests = np.arange(count) % 3 == 0
+    x, weight = phase_space()[0][:count], np.where(tests, 0.0, 1.7)
+    groups = Groups.of(table, [NamedBunches("", 1, count)])
+    for momentum in np.linspace(0.1, 3, 30):
+        u = np.where(tests[:, None], [0.3, 0, 300], [0, 0, momentum])
+        moments = diagnostics.group_moments(MPI.COMM_SELF, beam_of(MPI.COMM_SELF, x, u, weight, table), groups)
+        for part in moments.values():
+            assert part.rms[3:6] == pytest.approx(0, abs=1e-12)
+            assert part.mean[5] == pytest.approx(momentum, rel=1e-12)
 
 
 @pytest.mark.mpi(ranks=(1, 2, 3, 4))

@@ -168,3 +168,21 @@ def test_a_folder_without_particles_and_a_lost_group_are_named(comm, tmp_path):
     dumped(comm, tmp_path, [{**BUNCHES[0]}, {**BUNCHES[1], "particles": 0}])
     with pytest.raises(InputError, match=r"ions of .* has no particles left to draw"):
         phase_space.plot(tmp_path, group="ions")
+
+
+def test_test_particles_are_drawn_each_as_one(comm, tmp_path):
+    """A group of them among others, and a run of them alone, without a charge that they do not have."""
+    tests = {**BUNCHES[1], "self_field": False, "charge": 0}
+    for bunches, group in (([BUNCHES[0], tests], "ions"), ([tests], "all")):
+        dumped(comm, tmp_path, bunches)
+        dump = particle_reader.read(tmp_path)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            found = dict(phase_space.figures(dump, group=group))
+            for figure in found.values():
+                figure.canvas.draw()
+        assert list(found) == list(phase_space.OVERVIEW)
+        plane = found["x-y"]
+        assert plane.axes[-1].get_ylabel() == "particles per pixel"
+        image = next(one for one in plane.axes[0].collections if one.get_array() is not None)
+        assert np.nansum(np.ma.filled(image.get_array(), 0)) == pytest.approx(BUNCHES[1]["particles"])

@@ -184,5 +184,5 @@ def test_test_particles_are_drawn_each_as_one(comm, tmp_path):
         assert list(found) == list(phase_space.OVERVIEW)
         plane = found["x-y"]
         assert plane.axes[-1].get_ylabel() == "particles per pixel"
-        image = next(one for one in plane.axes[0].collections if one.get_array() is not None)
-        assert np.nansum(np.ma.filled(image.get_array(), 0)) == pytest.approx(BUNCHES[1]["particles"])
+        [image] = (values for one in plane.axes[0].collections if (values := one.get_array()) is not None)
+        assert np.nansum(np.ma.filled(image, 0)) == pytest.approx(BUNCHES[1]["particles"])

@@ -329,14 +329,14 @@ def error_of(motion: Left, frame: Frame) -> np.ndarray:
     """Return about how much of the force of a part on itself is wrong (2,): by motion across, and by motion along the axis.
 
     A current is left without its magnetic field: that is its mean velocity times that of the charge along the axis. Without a
-    current, charge that flies freely and not alike along all axes has another field than at rest. In a fast frame, motion
-    across counts that is alike, too: particles are not seen at one time of the frame, but the later the further behind.
+    current, charge that flies freely and not equally along all axes has another field than at rest. In a fast frame, motion
+    across counts even if it is isotropic: particles are not seen at one time of the frame, but the later the further behind.
     """
     along, across = motion.square[frame.axis], np.delete(motion.square, frame.axis)
-    alike, later = across.min(), max(map(abs, frame.beta)) ** 2
+    isotropic, later = across.min(), max(map(abs, frame.beta)) ** 2
     free = (
-        across.max() - (1 - later) * min(alike, along),
-        max(along - motion.current[frame.axis] - (1 - later) * alike, 0.0),
+        across.max() - (1 - later) * min(isotropic, along),
+        max(along - motion.current[frame.axis] - (1 - later) * isotropic, 0.0),
     )
     parts = [FREE * square / (1 - square) for square in free]
     flows = motion.current.sum()

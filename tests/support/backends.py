@@ -12,6 +12,7 @@ import numpy as np
 
 DEFAULT = os.environ.get("AMRPIC_TEST_BACKEND", "matrix-free")
 LACKS_TRILINOS = "needs Trilinos, and amrpic was built without it"
+LACKS_DEVICE = "Kokkos finds no device"
 
 
 def use_default() -> None:
@@ -63,9 +64,19 @@ def same_sums(ours: np.ndarray, others: np.ndarray, rounding: float = 1e-13) -> 
 
 def executed(backend: str) -> str:
     """The backend in whose place this one is wanted: the default for matrix-free, and for what the build lacks."""
-    return backend if backend != "matrix-free" and (backend != "crs" or has_trilinos()) else DEFAULT
+    there = {"matrix-free": False, "crs": has_trilinos(), "kokkos": has_device()}
+    return backend if there[backend] else DEFAULT
+
+
+def has_device() -> bool:
+    """Whether Kokkos' kernels, if they were built, can run here."""
+    from amrpic import _native
+
+    return LACKS_DEVICE not in _native.kokkos_backend()
 
 
 def lack(error: BaseException) -> str:
-    """What the build lacks, if that is why a test failed; else empty."""
+    """What the build or the machine lacks, if that is why a test failed; else empty."""
+    if LACKS_DEVICE in str(error) and not has_device():
+        return f"no graphics card here: {error}"[:200]
     return f"this build has no Trilinos: {error}"[:200] if LACKS_TRILINOS in str(error) and not has_trilinos() else ""

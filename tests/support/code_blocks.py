@@ -167,9 +167,10 @@ def of_amrpic(command: list[str]) -> list[str] | None:
 
 
 def masked(text: str) -> list[str]:
-    """Return the lines of an output without what differs from run to run: numbers, prefixes of units, blanks, and how far a
-    preview's trials of the run came.
+    """Return the lines of an output without what differs from run to run or from build to build: numbers, prefixes of units,
+    blanks, how far a preview's trials of the run came, and which other sets of kernels are at hand.
     """
+    text = re.sub(r" \(AMRPIC_ISA can choose .*?\)", "", text)
     text = re.sub(r"[-−]?\d[\d.,:]*(e[-+]?\d+)?", "#", text)
     text = re.sub(r"# (ms|µs|ns|s|min|h)\b", "# s", text)
     text = re.sub(r"from (its first solve|# steps of it|(one run|runs) on .*?of its cells)", "from trials", text)

@@ -72,13 +72,12 @@ class Plan:
         particles: Particles,
         last: Frames = ONE_FRAME,
         lost: Particles | None = None,
-        anew: bool = True,
         turn: np.ndarray | None = None,
     ) -> Frames:
         """Return the frames in which to solve for the field of particles that move. Collective; InputError on all ranks.
 
-        `last` are those of the step before, whose energy bins stay unless they are chosen `anew`. Where no frame fits them, a
-        single particle and the last few of which the others are `lost` keep them. `turn`: see `Frames`.
+        `last` are those of the step before, whose energy bins stay while they fit. Where no frame fits them, a single particle
+        and the last few of which the others are `lost` keep them. `turn`: see `Frames`.
         """
         motion = self.scene.motion
         if not isinstance(motion, Leapfrog):
@@ -86,9 +85,7 @@ class Plan:
         bins = None if motion.energy_bins == "auto" else motion.energy_bins
         last = replace(last, turn=None if turn is None else tuple(map(vector, turn)))
         try:
-            found = frames_of(
-                self.comm, last.straight(particles), self.scene.domain.value, motion.frame, bins, last, anew
-            )
+            found = frames_of(self.comm, last.straight(particles), self.scene.domain.value, motion.frame, bins, last)
         except InputError:
             if particles.global_count(self.comm) > 1 and self._share_left(particles, lost) > FEW:
                 raise
@@ -97,11 +94,10 @@ class Plan:
                 "of their self-field, which is solved for as if they moved on as before"
             )
             return last
-        if anew:
-            self._say_what_is_left(found)
+        self.say_what_is_left(found)
         return replace(found, turn=last.turn)
 
-    def _say_what_is_left(self, frames: Frames) -> None:
+    def say_what_is_left(self, frames: Frames) -> None:
         """Note in how many frames the self-field is solved for and the estimated error, again where either grew by much."""
         count, error = len(frames.members), frames.error
         if (count > 1 or error > STATIC) and (count != self._told[0] or error > 2 * self._told[1]):

@@ -186,6 +186,26 @@ def group_moments(
     return {members: out[members] for members in groups.distinct}
 
 
+def moments_by_kind(
+    comm: MPI.Comm, beam: Beam, groups: Groups, domain: Domain | None = None
+) -> list[tuple[Beam, Groups, dict[frozenset[int], Part]]]:
+    """Return the moments of each distinct group, with the beam and the groups that they are of. Collective.
+
+    Those of groups with test particles alone are by number: each weighs the same, without charge. The particles are then read
+    once more.
+    """
+    moments = group_moments(comm, beam, groups, domain)
+    tests = [members for members, part in moments.items() if part.particles > 0 and not part.weight > 0]
+    weighed = {members: part for members, part in moments.items() if members not in tests}
+    found = [(beam, groups.only(list(weighed)), weighed)] if weighed else []
+    if tests:
+        ones = beam.particles.with_weight(np.broadcast_to(1.0, len(beam.particles)))
+        by_number, of_tests = replace(beam, particles=ones), groups.only(tests)
+        of_tests = replace(of_tests, species=tuple(replace(one, charge=0.0) for one in groups.species))
+        found.append((by_number, of_tests, group_moments(comm, by_number, of_tests, domain)))
+    return found
+
+
 def _pieces(layer: Sequence[frozenset[int]], groups: Groups) -> tuple[list[tuple[int, int]], list[int]]:
     """Return the species of each group of a layer, apart since charges differ: (place in the layer, first run), and of each run
     in which of them it is; -1: in none."""

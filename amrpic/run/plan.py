@@ -156,10 +156,14 @@ class Plan:
         self._solvers[frame, part] = PoissonSolver(
             hierarchy,
             options=options,
-            background="neutralizing" if part or self.scene.background == "neutralizing" else None,
+            background="neutralizing" if part else self._background,
             reuse=kept,
         )
         return self._solvers[frame, part]
+
+    @property
+    def _background(self) -> str | None:
+        return None if self.scene.background == "none" else self.scene.background
 
     @property
     def needs_balance(self) -> bool:
@@ -206,14 +210,19 @@ class Plan:
     def walls(self, hierarchy: Hierarchy, frames: Frames) -> tuple[Field, VectorField] | None:
         """Return φ and E of what the walls hold where a solution in these frames is without it, being of others. Collective.
 
-        It is solved for once on each mesh, in the laboratory.
+        It is solved for once on each mesh, in the laboratory. Raises SolverError if its flux has no potential.
         """
         if frames.only == LABORATORY or (self._potential is None and self._slope is None):
             return None
         if self._walls is None or self._walls[0].hierarchy is not hierarchy:
             with self.clock("solve"):
-                solver = PoissonSolver(hierarchy, options=self.scene.solver)
-                phi, report = solver.solve(Field(hierarchy), None, self._potential, self._slope)
+                solver = PoissonSolver(hierarchy, options=self.scene.solver, background=self._background)
+                try:
+                    phi, report = solver.solve(Field(hierarchy), None, self._potential, self._slope)
+                except SolverError as refused:
+                    raise SolverError(
+                        f"domain.slope, whose field is solved for apart from charge that moves: {refused}"
+                    ) from None
                 self._require_converged(report)
                 self._walls = phi, solver.deferred_field(phi, covered=self.clouds.covered)
         return self._walls

@@ -60,7 +60,8 @@ REFUSED = {
     "no such kind": (["elements.0.kind=quadrupol"], ["elements.0", 'did you mean "quadrupole"']),
     "no such map": (["elements.0={kind='map',file='nowhere.h5'}"], ["nowhere.h5", "does not exist"]),
     "longer than its period": (
-        ["domain.boundary={x='neumann',y='neumann',z='periodic'}", "elements.0.length=0.05", "elements.0.centre=[0,0,0.02]"],
+        ["domain.boundary={x='dirichlet',y='dirichlet',z='periodic'}", "elements.0.length=0.05",
+         "elements.0.centre=[0,0,0.02]"],
         ["elements.0 is 0.05 m long", "repeats along z after 0.04 m", "shorten it"],
     ),
     "fringe that never falls": (

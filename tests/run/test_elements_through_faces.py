@@ -121,7 +121,7 @@ def test_an_element_over_all_of_the_domain_has_no_ends_and_a_longer_one_no_place
     B = ExternalFields.of_scene(amrpic.Scene.from_dict(scene([long], shift=0.1))).fields(places)[1]
     np.testing.assert_allclose(B, np.column_stack([places[:, 1], places[:, 0], 0 * places[:, 0]]), atol=1e-15)
     given = amrpic.Scene.from_dict(scene([KINDS["gap"], long], shift=0.15))
-    with pytest.raises(InputError, match="^elements.1 is"):
+    with pytest.raises(InputError, match=r"^elements\.1 is"):
         check_scene(given, ranks=1)
     with pytest.raises(
         InputError, match=r"elements\.1 is 0\.3 m long, where space repeats along z after 0\.04 m, .*shorten it"

@@ -123,8 +123,7 @@ void bind_solver(nb::module_& m) {
           },
           "hierarchy"_a, "options"_a, "reusable"_a)
       .def("solve", &PoissonSolver::solve, "rho"_a, "phi"_a, "from_zero"_a, "known"_a, "deposited"_a,
-           "images"_a = false,
-           nb::call_guard<nb::gil_scoped_release>())
+           "images"_a = false, nb::call_guard<nb::gil_scoped_release>())
       .def("electric_field", &PoissonSolver::electric_field, "potential"_a, "covered"_a,
            nb::call_guard<nb::gil_scoped_release>())
       .def("electric_field_as", &PoissonSolver::electric_field_as, "potential"_a, "covered"_a, "holds"_a,

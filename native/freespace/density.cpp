@@ -53,8 +53,8 @@ WallMesh wall_mesh(Hierarchy const& hierarchy, int layers, Across const& across)
       if (kind == Boundary::dirichlet || kind == Boundary::neumann)
         walls[d][side] = Mirror{side * 2 * domain.cells[d], kind == Boundary::neumann ? 1 : -1};
       if (d == across.axis && !std::isnan(across.place[side]))
-        walls[d][side] = Mirror{int(std::lround(2 * (across.place[side] - domain.lower[d]) / domain.spacing(d))),
-                                across.sign[side]};
+        walls[d][side] =
+            Mirror{int(std::lround(2 * (across.place[side] - domain.lower[d]) / domain.spacing(d))), across.sign[side]};
     }
   }
   out.images = Images(out.lattice, walls, periodic, across.axis);

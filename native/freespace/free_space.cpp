@@ -109,7 +109,8 @@ OctreeBuilder FreeSpace::leaves_of(WallPlan const& plan, ChargeBlocks const& blo
   int finest = 0;
   for (int level = 0; level < most_levels; ++level)
     if (sums[std::size_t(octaves + level)] > 0) finest = level;
-  if (evaluate_->finest() < finest) evaluate_ = std::make_unique<TreePotential const>(lattice_, finest, has_images_, options_);
+  if (evaluate_->finest() < finest)
+    evaluate_ = std::make_unique<TreePotential const>(lattice_, finest, has_images_, options_);
 
   std::vector<int> order;
   for (std::size_t n = 0; n < blocks.leaves().size(); ++n)

@@ -28,8 +28,8 @@ struct Image {
   bool operator==(Image const& o) const { return reflects == o.reflects && shift == o.shift && sign == o.sign; }
 };
 
-/// Which of the images across the walls of one axis count, where charge moves along it: those that move with the charge,
-/// itself among them, or those that move against it, behind a single reflection.
+/// Which of the images across the walls of one axis count, where charge moves along it: those that move with the
+/// charge, itself among them, or those that move against it, behind a single reflection.
 enum class Which { all, with, against };
 
 /// The axis that charge moves along, if walls across it reflect what moves against it; their places, in m, or nan, at

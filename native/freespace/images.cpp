@@ -53,7 +53,8 @@ Images::Images(Lattice const& lattice, std::array<std::array<std::optional<Mirro
 }
 
 bool Images::are_none() const {
-  return std::all_of(axes_.begin(), axes_.end(), [](AxisImages const& a) { return a.copies.size() == 1 && a.period == 0; });
+  return std::all_of(axes_.begin(), axes_.end(),
+                     [](AxisImages const& a) { return a.copies.size() == 1 && a.period == 0; });
 }
 
 std::vector<Image> Images::copies(Which which) const {
@@ -252,8 +253,8 @@ double Closing::around_axis(Copy const& copy, Point const& x) const {
 
 /// Of what continues a copy in a plane: [-2 pi |z| - sum of F over the four corners] / area, with the distances u and v
 /// to both ends of each axis and F the integral of 1 / r over the rectangle, u asinh(v / sqrt(u^2 + z^2)) + v asinh(u /
-/// sqrt(v^2 + z^2)) - z atan(u v / (z r)). The first term takes charge and dipole as they are: charge lies on one side of
-/// every place that counts.
+/// sqrt(v^2 + z^2)) - z atan(u v / (z r)). The first term takes charge and dipole as they are: charge lies on one side
+/// of every place that counts.
 double Closing::beside_plane(Copy const& copy, Point const& x) const {
   int const p = along_[0], q = along_[1], n = normal_;
   double const z = std::abs(x[n]), up = x[n] < 0 ? -1 : 1;

@@ -2,8 +2,8 @@
 //
 // The potential between them is that of free space, summed over the maps of a group: for each, what the charge makes at
 // the mapped place, times a sign. So the tree of charge is one for all, and images only add places. On an axis with an
-// open face that is one reflection, at a wall on the other one; between two walls, and where space repeats, a lattice of
-// them, which is summed by ever wider blocks of copies and ends in a closed form (`Closing`).
+// open face that is one reflection, at a wall on the other one; between two walls, and where space repeats, a lattice
+// of them, which is summed by ever wider blocks of copies and ends in a closed form (`Closing`).
 #pragma once
 
 #include <optional>

@@ -15,7 +15,8 @@ constexpr double four_pi = 12.566370614359172954;
 constexpr double lattice_negligible = 64;  ///< cells from a charge where its lattice adds 6e-5 of its potential
 constexpr unsigned all_points = all_lanes;
 constexpr int lowest_order = 2;
-constexpr double acceptance_of_images = 0.35;  ///< as `Options::acceptance`, of blocks of hundreds of charges of one sign
+constexpr double acceptance_of_images =
+    0.25;  ///< as `Options::acceptance`, of blocks of hundreds of charges of one sign
 /// Up to where the charges of a node of level 0 are summed one by one, in units of the smallest spacing, from its
 /// centre.
 double near_distance(Point const& shape, Options const& options) {
@@ -37,8 +38,9 @@ Cell table_reach(Lattice const& lattice, int finest, bool has_images, Options co
   double const patch = std::min(2 * wall, 2 / options.separation * near_distance(shape, options));
   Cell out;
   for (int d = 0; d < 3; ++d) {
-    double const inside_domain = has_images ? double(near[d])  // images lie outside
-                                            : std::ldexp(lattice.cells[d] + 2.0 * block_edge, finest);  // and nodes beside a wall
+    double const inside_domain =
+        has_images ? double(near[d])                                           // images lie outside
+                   : std::ldexp(lattice.cells[d] + 2.0 * block_edge, finest);  // and nodes beside a wall
     double const block = shape[d] > 2 ? 2 * block_edge : block_edge;
     double const interpolated = widest[d] > block_edge ? std::max(block, patch / shape[d]) : block;
     out[d] = int(std::ceil(std::min(double(near[d]), inside_domain) + interpolated)) + 1;
@@ -442,8 +444,7 @@ void TreePotential::add_far(Octree const& tree, std::vector<Interactions::Far> c
 
 /// The multipoles of nodes, or of parts of them, at the points that they are far from; the rest goes to `near`.
 void TreePotential::add_mixed(Octree const& tree, std::vector<int> const& nodes, PatchPoints const& points, int level,
-                              std::size_t patch, std::size_t image, double* values,
-                              std::vector<NearRow>& near) const {
+                              std::size_t patch, std::size_t image, double* values, std::vector<NearRow>& near) const {
   struct Visit {
     int node;
     unsigned active;

@@ -190,7 +190,8 @@ WallCounts count(WallPlan const& plan, Options const& options, std::vector<Charg
   OctreeBuilder builder(grids, 0);
   builder.add_found(all.grid, {full.record(all)});
   Images const& images = geometry.mesh.images;
-  TreePotential const potential(geometry.mesh.lattice, int(geometry.mesh.levels.size()) - 1, !images.are_none(), options);
+  TreePotential const potential(geometry.mesh.lattice, int(geometry.mesh.levels.size()) - 1, !images.are_none(),
+                                options);
   Octree tree = builder.finish(nodes);
   add_images(tree, images, Which::all);
   for (auto const& of_patch : potential.interactions(tree, plan.patches, plan.is_own))

@@ -53,8 +53,8 @@ class PoissonSolver {
   /// Fill phi (V) from rho (C/m^3), starting from what phi holds; `from_zero`: nothing but zeros. Covered cells of phi
   /// hold the mean of their children. `known`: by the solve that found the first guess, on the same mesh. `deposited`:
   /// sum of the magnitudes of the charges whose density rho is, C. Throws SolverError for a charge that no potential
-  /// can balance. With options.across, `images` asks for the potential of the images that move against the charge alone,
-  /// else it is that of the charge and of the images that move with it. Collective.
+  /// can balance. With options.across, `images` asks for the potential of the images that move against the charge
+  /// alone, else it is that of the charge and of the images that move with it. Collective.
   SolveReport solve(Field const& rho, Field& phi, bool from_zero, MeshError const& known = {}, Real deposited = 0,
                     bool images = false);
 

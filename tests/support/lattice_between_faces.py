@@ -8,6 +8,7 @@ the first cell to its ghost. Charges come per cell, in units of ε₀.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -120,7 +121,43 @@ def ring_kernel(n: int, x: np.ndarray) -> np.ndarray:
     return np.cos(np.outer(np.arange(n), turns)) @ np.exp(-np.outer(1 - np.cos(turns), x)) / n
 
 
-# ---- the potential in the box, from its ghosts at open faces ----
+# ---- ghosts at open faces, and the potential in the box that they make ----
+
+
+def counted_at_ghosts(charges: np.ndarray, boundary: Faces) -> np.ndarray:
+    """Charges (..., nx, ny, nz) as they act on ghosts far away where Dirichlet walls have quadratic ghosts: 3/4 in the first
+    layer there, exactly."""
+    out = charges.copy()
+    for axis, side in itertools.product(range(3), (0, 1)):
+        if boundary[axis][side] == "dirichlet":
+            np.moveaxis(out, axis - 3, 0)[-side] *= 0.75
+    return out
+
+
+def ghost_errors(
+    ghosts: Sequence[np.ndarray],
+    exact: np.ndarray,
+    of_magnitudes: np.ndarray,
+    spacing: Sequence[float],
+    boundary: Faces,
+) -> dict[str, float]:
+    """How far ghosts at open faces are from an exact potential, and what potential and field the difference makes.
+
+    Of the largest values of the potential that the magnitudes of the charges make.
+    """
+    missing = [
+        np.where(boundary[face // 2][face % 2] == "open", found - wanted, 0.0)
+        for face, (found, wanted) in enumerate(zip(ghosts, ghosts_of(exact), strict=True))
+    ]
+    inside = of_magnitudes[1:-1, 1:-1, 1:-1]
+    phi, field = solved(np.zeros(inside.shape), spacing, boundary, missing)
+    largest = float(np.abs(of_magnitudes).max()) or 1.0
+    largest_field = float(np.abs(field_of(inside, spacing, boundary, ghosts_of(of_magnitudes))).max()) or 1.0
+    return {
+        "ghosts": max(float(np.abs(values).max()) for values in missing) / largest,
+        "phi": float(np.abs(phi).max()) / largest,
+        "field": float(np.abs(field).max()) / largest_field,
+    }
 
 
 def ghosts_of(potential: np.ndarray) -> list[np.ndarray]:
@@ -179,7 +216,7 @@ def wall_ghost(face: str, quadratic: bool) -> tuple[tuple[int, float], ...]:
 
 
 def field_of(
-    phi: np.ndarray, spacing: np.ndarray, boundary: Faces, ghosts: Sequence[np.ndarray], quadratic: bool = False
+    phi: np.ndarray, spacing: Sequence[float], boundary: Faces, ghosts: Sequence[np.ndarray], quadratic: bool = False
 ) -> np.ndarray:
     """Central differences of -φ, with the ghosts of `solved`."""
     field = []

@@ -19,11 +19,14 @@ struct Options {
   int operator_order = 2;       ///< 4: potentials are means over cells, see `fourth_order.hpp`
   double of_weak = acceptance;  ///< the largest acceptance, of boxes with next to no charge
 
-  /// What goes with an operator. In fourth order the lattice fades by the fourth power of the distance and is left out
-  /// from `lattice_limit` on, where it is 8e-6 of the potential; the rest is about as exact.
-  static Options of_order(int order) {
+  /// What goes with an operator, and with images that repeat along so many axes: what two lattices leave of the
+  /// potential may be little, and images are cheap there. In fourth order the lattice fades by the fourth power of the
+  /// distance and is left out from `lattice_limit` on, where it is 8e-6 of the potential; the rest is about as exact.
+  static Options of(int order, int lattices) {
     if (order == 4) return {0.3, 16, 1e-7, 2, 2e-7, 4, 0.6};
-    return {};
+    Options out;
+    if (lattices > 1) out.acceptance = out.of_weak = 0.4, out.lattice_limit = 12;
+    return out;
   }
   /// What charge in the first layers of cells at a Dirichlet wall counts at ghosts of open faces beside it, where that
   /// reflects it: the wall's row, which is not that of an odd image, gives it so much of the image's dipole.

@@ -54,7 +54,7 @@ std::vector<double> FreeSpace::walls(WallPlan const& plan, std::vector<ChargeBox
   add_images(tree, images, which);
   std::vector<double> values;
   try {
-    Closing const closing(tree, images, which);
+    Closing const closing(tree, images, which, options_.operator_order);
     values = evaluate_->at({tree, blocks, near}, closing, plan.patches, plan.is_own);
   } catch (std::exception const& e) {
     if (comm_.ranks() == 1) throw;

@@ -47,7 +47,8 @@ class Images {
   /// How often a block of copies doubles along an axis, of charge so wide; 0 where there is no lattice.
   int doublings(int d, double width) const;
   Point const& shape() const { return shape_; }
-  bool has_lattice() const { return axes_[0].period > 0 || axes_[1].period > 0 || axes_[2].period > 0; }
+  /// The number of axes along which they repeat, at most two where a face is open.
+  int lattices() const { return int(axes_[0].period > 0) + int(axes_[1].period > 0) + int(axes_[2].period > 0); }
   /// Distance along an axis between a place and the nearest image of another one; in units of the smallest spacing.
   double apart(int d, double place, double other) const;
 
@@ -70,7 +71,7 @@ void add_images(Octree& tree, Images const& images, Which which);
 class Closing {
  public:
   /// `tree`: with its images.
-  Closing(Octree const& tree, Images const& images, Which which);
+  Closing(Octree const& tree, Images const& images, Which which, int operator_order);
 
   bool is_empty() const { return copies_.empty(); }
   /// 4 pi times the potential, lengths in units of the smallest spacing.
@@ -80,7 +81,7 @@ class Closing {
   /// A copy of all charge: its moments about the centre.
   struct Copy {
     Point centre, dipole;
-    double charge;
+    double charge, of_lattice;                    ///< as `LatticeMoments`
     std::array<std::array<double, 3>, 3> second;  ///< sum q x x, without trace, less what a uniform period has
     Point reach;                                  ///< of blocks to either side
   };
@@ -91,7 +92,7 @@ class Closing {
   std::vector<Copy> copies_;
   std::array<int, 2> along_{-1, -1};  ///< the lattice axes
   int normal_ = -1;                   ///< of a plane of two
-  Point period_{};
+  Point period_{}, h2_{};
 };
 
 }  // namespace amrpic::freespace

@@ -192,7 +192,8 @@ void bind_freespace(nb::module_& m) {
           "__init__",
           [](WallGeometry* self, std::shared_ptr<Hierarchy const> const& mesh,
              std::vector<std::vector<int>> const& first_boxes) {
-            new (self) WallGeometry(shared_out(*mesh, first_boxes), Options{});
+            WallMesh const walls = shared_out(*mesh, first_boxes);
+            new (self) WallGeometry(walls, Options{}.beside(!walls.images.are_none()));
           },
           "hierarchy"_a, "first_boxes"_a = std::vector<std::vector<int>>{}, nb::call_guard<nb::gil_scoped_release>(),
           "What all ranks know of the open walls of a mesh. `first_boxes`: per level, where the run of each rank "
@@ -209,7 +210,7 @@ void bind_freespace(nb::module_& m) {
               std::vector<ChargedRegion> regions;
               for (auto const& [lower, upper] : charged) regions.push_back({lower, upper});
               std::shared_ptr<WallGeometry const> const shared(&self, [](WallGeometry const*) {});
-              found = count(WallPlan(shared, rank), Options{}, regions);
+              found = count(WallPlan(shared, rank), Options{}.beside(!self.mesh.images.are_none()), regions);
             }
             return to_dict(found);
           },

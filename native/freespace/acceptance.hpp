@@ -25,6 +25,12 @@ struct Options {
     if (order == 4) return {0.3, 16, 1e-7, 2, 2e-7, 4, 0.6};
     return {};
   }
+  /// Where there are images: these make errors as the charge itself does, but between conductors a smaller potential.
+  Options beside(bool images) const {
+    Options out = *this;
+    if (images) out.acceptance = std::min(acceptance, 0.4);
+    return out;
+  }
   /// What charge in the first layers of cells at a Dirichlet wall counts at ghosts of open faces beside it, where that
   /// reflects it: the wall's row, which is not that of an odd image, gives it so much of the image's dipole.
   std::vector<double> at_dirichlet_walls() const {

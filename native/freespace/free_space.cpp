@@ -37,8 +37,8 @@ FreeSpace::FreeSpace(Communicator const& comm, Lattice const& lattice, bool has_
     : comm_(comm),
       lattice_(lattice),
       has_images_(has_images),
-      options_(options),
-      evaluate_(std::make_unique<TreePotential const>(lattice, 0, has_images, options)) {}
+      options_(options.beside(has_images)),
+      evaluate_(std::make_unique<TreePotential const>(lattice, 0, has_images, options_)) {}
 
 std::shared_ptr<WallPlan const> FreeSpace::plan(WallMesh const& mesh) const {
   return std::make_shared<WallPlan const>(std::make_shared<WallGeometry const>(mesh, options_), comm_.rank());
@@ -54,7 +54,7 @@ std::vector<double> FreeSpace::walls(WallPlan const& plan, std::vector<ChargeBox
   add_images(tree, images, which);
   std::vector<double> values;
   try {
-    Closing const closing(tree, images, which);
+    Closing const closing(tree, images, which, options_.operator_order == 2);
     values = evaluate_->at({tree, blocks, near}, closing, plan.patches, plan.is_own);
   } catch (std::exception const& e) {
     if (comm_.ranks() == 1) throw;

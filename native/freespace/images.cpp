@@ -240,7 +240,7 @@ void add_images(Octree& tree, Images const& images, Which which) {
       for (int node : tree.repeated) add_lattice(tree, node, together, images);
 }
 
-Closing::Closing(Octree const& tree, Images const& images, Which which) {
+Closing::Closing(Octree const& tree, Images const& images, Which which, bool on_lattice) : on_lattice_(on_lattice) {
   Point const shape = images.shape();
   int axes = 0;
   for (int d = 0; d < 3; ++d) {
@@ -248,6 +248,7 @@ Closing::Closing(Octree const& tree, Images const& images, Which which) {
     along_[std::size_t(axes++)] = d;
     period_[d] = images.axis(d).period * shape[d];
   }
+  for (int d = 0; d < 3; ++d) h2_[d] = shape[d] * shape[d];
   if (axes == 2) normal_ = 3 - along_[0] - along_[1];
   for (int n : tree.repeated)
     for (auto const& together : images.copies(which))
@@ -258,7 +259,7 @@ Closing::Closing(Octree const& tree, Images const& images, Which which) {
 void Closing::add(Member const& given, Image const& image, Images const& images) {
   Member const member = image_of(given, image, images.shape());
   auto const& m = member.moments;
-  Copy copy{member.node.centre, plain_moments(m).dipole, m[0].re, {}, {}};
+  Copy copy{member.node.centre, plain_moments(m).dipole, m[0].re, on_lattice_ ? member.node.lattice.charge : 0, {}, {}};
   double const m20 = m[harmonic_index(2, 0)].re;
   auto const &m21 = m[harmonic_index(2, 1)], &m22 = m[harmonic_index(2, 2)];
   // Without trace: 3 z^2 - r^2 sums to 4 M20, x z + i y z to 2 M21, x^2 - y^2 to 8 Re M22, x y to 4 Im M22.
@@ -306,7 +307,8 @@ double Closing::around_axis(Copy const& copy, Point const& x) const {
 /// Of what continues a copy in a plane: [-2 pi |z| - sum of F over the four corners] / area, with the distances u and v
 /// to both ends of each axis and F the integral of 1 / r over the rectangle, u asinh(v / sqrt(u^2 + z^2)) + v asinh(u /
 /// sqrt(v^2 + z^2)) - z atan(u v / (z r)). The first term takes charge and dipole as they are: charge lies on one side
-/// of every place that counts.
+/// of every place that counts. What the lattice of the operator adds to 1 / r is -sum_d h_d^2 / 24 d^4 r / dx_d^4, of
+/// which a whole plane has none.
 double Closing::beside_plane(Copy const& copy, Point const& x) const {
   int const p = along_[0], q = along_[1], n = normal_;
   double const z = std::abs(x[n]), up = x[n] < 0 ? -1 : 1;
@@ -327,7 +329,11 @@ double Closing::beside_plane(Copy const& copy, Point const& x) const {
       double const uu = -u * v / (r * u2), vv = -u * v / (r * v2);
       double const second = m[p][p] * uu + m[q][q] * vv - m[n][n] * (uu + vv) + 2 * m[p][q] * du * dv / r -
                             2 * up * z * (m[p][n] * du * v / u2 + m[q][n] * dv * u / v2) / r;
-      sum += copy.charge * value - slope + 0.5 * second;
+      double const a = u * v / (r * u2), b = u * v / (r * v2), both = u * v / (r * r * r);
+      double const fourth_p = a * ((v2 / r) / r + 2 * z * z / u2), fourth_q = b * ((u2 / r) / r + 2 * z * z / v2);
+      double const fourth_n = fourth_p + fourth_q + 2 * both - 4 * (a + b);
+      sum += copy.charge * value - slope + 0.5 * second +
+             copy.lattice_charge / 24 * (h2_[p] * fourth_p + h2_[q] * fourth_q + h2_[n] * fourth_n);
     }
   return -sum / (period_[p] * period_[q]);
 }

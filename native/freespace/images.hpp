@@ -69,8 +69,9 @@ void add_images(Octree& tree, Images const& images, Which which);
 /// axis phi tends to -lambda / (2 pi) ln(distance / period), beside a plane of two to -sigma |distance| / 2.
 class Closing {
  public:
-  /// `tree`: with its images.
-  Closing(Octree const& tree, Images const& images, Which which);
+  /// `tree`: with its images. `on_lattice`: whether the lattice of the operator counts far away, where the charge of a
+  /// plane adds up.
+  Closing(Octree const& tree, Images const& images, Which which, bool on_lattice);
 
   bool is_empty() const { return copies_.empty(); }
   /// 4 pi times the potential, lengths in units of the smallest spacing.
@@ -80,7 +81,7 @@ class Closing {
   /// A copy of all charge: its moments about the centre.
   struct Copy {
     Point centre, dipole;
-    double charge;
+    double charge, lattice_charge;                ///< the latter as `TreeNode::lattice` has it
     std::array<std::array<double, 3>, 3> second;  ///< sum q x x, without trace, less what a uniform period has
     Point reach;                                  ///< of blocks to either side
   };
@@ -88,10 +89,11 @@ class Closing {
   double around_axis(Copy const& copy, Point const& from_centre) const;
   double beside_plane(Copy const& copy, Point const& from_centre) const;
 
+  bool on_lattice_;
   std::vector<Copy> copies_;
   std::array<int, 2> along_{-1, -1};  ///< the lattice axes
   int normal_ = -1;                   ///< of a plane of two
-  Point period_{};
+  Point period_{}, h2_{};             ///< h2: squares of the spacings
 };
 
 }  // namespace amrpic::freespace

@@ -414,7 +414,7 @@ Interactions::Far TreePotential::multipole(Octree const& tree, int n, double dis
     out.highest = l - 1;
   }
   double const negligible = lattice_negligible * longest_spacing_ * node.coarsest;
-  out.on_lattice = distance2 < negligible * negligible;
+  out.on_lattice = distance2 < negligible * negligible || !tree.copies.empty();  // those of a plane add up
   return out;
 }
 

@@ -8,7 +8,6 @@ namespace amrpic::freespace {
 namespace {
 
 constexpr double pi = 3.14159265358979323846;
-constexpr int fewest_doublings = 3;  ///< of a block as long as all else is wide
 
 AxisImages images_of(std::optional<Mirror> const& lower, std::optional<Mirror> const& upper) {
   AxisImages out;
@@ -94,10 +93,10 @@ double Images::longest_period() const {
   return out;
 }
 
-int Images::doublings(int d, double width) const {
+int Images::doublings(int d, double width, int fewest) const {
   double const period = axes_[std::size_t(d)].period * shape_[d];
   if (period == 0) return 0;
-  return fewest_doublings + std::max(0, int(std::ceil(std::log2(std::max(width, longest_period()) / period))));
+  return fewest + std::max(0, int(std::ceil(std::log2(std::max(width, longest_period()) / period))));
 }
 
 double Images::apart(int d, double place, double other) const {
@@ -180,7 +179,7 @@ std::vector<int> parts_of(Octree const& tree, Images const& images) {
 }
 
 /// Add the lattice of the copies of a node.
-void add_lattice(Octree& tree, int number, std::vector<Image> const& copies, Images const& images) {
+void add_lattice(Octree& tree, int number, std::vector<Image> const& copies, Images const& images, int doublings) {
   Point const shape = images.shape();
   Member const given{tree.nodes[std::size_t(number)], tree.moments[std::size_t(number)]};
   std::vector<Joined::Block> blocks;
@@ -204,7 +203,7 @@ void add_lattice(Octree& tree, int number, std::vector<Image> const& copies, Ima
   Cell length{}, left{};
   for (int d = 0; d < 3; ++d) {
     length[d] = images.axis(d).period;
-    left[d] = images.doublings(d, width_across(given.node, images));
+    left[d] = images.doublings(d, width_across(given.node, images), doublings);
   }
   for (;;) {
     int next = -1;
@@ -228,7 +227,7 @@ void add_lattice(Octree& tree, int number, std::vector<Image> const& copies, Ima
 
 }  // namespace
 
-void add_images(Octree& tree, Images const& images, Which which) {
+void add_images(Octree& tree, Images const& images, Which which, Options const& options) {
   tree.tops.clear();
   if (tree.empty()) return;
   auto const copies = images.copies(which);
@@ -237,12 +236,13 @@ void add_images(Octree& tree, Images const& images, Which which) {
     if (images.lattices() == 0)
       tree.tops.push_back({0, together.front()});
     else
-      for (int node : tree.repeated) add_lattice(tree, node, together, images);
+      for (int node : tree.repeated) add_lattice(tree, node, together, images, options.doublings);
 }
 
-Closing::Closing(Octree const& tree, Images const& images, Which which, int operator_order) {
+Closing::Closing(Octree const& tree, Images const& images, Which which, Options const& options)
+    : doublings_(options.doublings) {
   Point const shape = images.shape();
-  if (operator_order == 2) h2_ = {shape[0] * shape[0], shape[1] * shape[1], shape[2] * shape[2]};
+  if (options.operator_order == 2) h2_ = {shape[0] * shape[0], shape[1] * shape[1], shape[2] * shape[2]};
   int axes = 0;
   for (int d = 0; d < 3; ++d) {
     if (images.axis(d).period == 0) continue;
@@ -268,7 +268,7 @@ void Closing::add(Member const& given, Image const& image, Images const& images)
                   {2 * m21.re, 2 * m21.im, 4 * m20 / 3}}};
   for (int d = 0; d < 3; ++d) {
     copy.second[std::size_t(d)][std::size_t(d)] -= copy.charge * period_[d] * period_[d] / 12;
-    copy.reach[d] = std::ldexp(period_[d], images.doublings(d, width_across(given.node, images)));
+    copy.reach[d] = std::ldexp(period_[d], images.doublings(d, width_across(given.node, images), doublings_));
   }
   copies_.push_back(copy);
 }

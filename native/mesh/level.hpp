@@ -36,16 +36,16 @@ class Level {
   bool is_behind_wall(Index3 const& cell, int axis) const {
     return !periodic_[axis] && (cell[axis] < domain_.lower[axis] || cell[axis] > domain_.upper[axis]);
   }
-  /// The cell of the domain that stands for a cell, where space repeats.
-  Index3 wrapped(Index3 cell) const {
-    for (int d = 0; d < 3; ++d)
-      if (periodic_[d]) cell[d] -= floor_divide(cell[d] - domain_.lower[d], domain_.extent(d)) * domain_.extent(d);
-    return cell;
-  }
   /// The cell itself, or the cell at the wall that is nearest to one behind it.
   Index3 fold_at_walls(Index3 cell) const {
     for (int d = 0; d < 3; ++d)
       if (!periodic_[d]) cell[d] = std::max(domain_.lower[d], std::min(domain_.upper[d], cell[d]));
+    return cell;
+  }
+  /// The cell itself, or the cell in the domain that one behind a periodic face is an image of.
+  Index3 wrapped(Index3 cell) const {
+    for (int d = 0; d < 3; ++d)
+      if (periodic_[d]) cell[d] -= floor_divide(cell[d] - domain_.lower[d], domain_.extent(d)) * domain_.extent(d);
     return cell;
   }
   /// The part of a box that lies behind no wall.

@@ -46,6 +46,15 @@ class GaussianBetweenFaces:
         ex, ey, ez = (-self._summed((x, y, z), slope_along=axis) for axis in range(3))
         return ex, ey, ez
 
+    def at_points(self, x: Array, y: Array, z: Array) -> Array:
+        """φ in V at points; arguments of one shape."""
+        times, weights = self._times()
+        kx, ky, kz = (
+            of_axis.kernel(np.ravel(place)[:, None], times, slope=False)
+            for of_axis, place in zip(self._axes(), (x, y, z), strict=True)
+        )
+        return (np.einsum("nt,nt,nt,t->n", kx, ky, kz, weights) - self._background()).reshape(np.shape(x))
+
     def _axes(self) -> list[Axis]:
         return [
             Axis(faces, self.sigma, centre, length, self.cut)

@@ -27,7 +27,7 @@ struct Options {
   static Options of(int order, int lattices) {
     if (order == 4) return {0.3, 16, 1e-7, 2, 2e-7, 4, 0.6, 0.15, 5};
     Options out;
-    if (lattices > 0) out.acceptance = out.of_weak = lattices > 1 ? 0.4 : 0.45;
+    if (lattices > 0) out.acceptance = out.of_weak = lattices > 1 ? 0.35 : 0.45;
     if (lattices > 0) out.lattice_limit = lattices > 1 ? 12 : 11;
     return out;
   }

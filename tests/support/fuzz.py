@@ -194,9 +194,9 @@ def judge(case: Case, found: Outcome, plain: Outcome) -> tuple[list[Failure], fl
             fail("memory", f"{name}{outcome.growth / 1e6:.0f} MB for {outcome.cells} cells, at most {most / 1e6:.0f}")
     # Compressed rows may take fewer. Around an odd number of cells they relax the last ones as colours of their own; what is
     # constant along axes of short cells that nothing holds loses digits in the single precision of the other cycle; and that
-    # one's exact bottom has one ghost for each open wall, also if it is the base, some of whose cells are covered.
+    # one's exact bottom has one ghost for each open wall, also if some cells there are covered by finer ones.
     odd_ring = any("periodic" in pair and n % 2 for n, pair in zip(case.cells, case.boundary, strict=True))
-    open_bottom = math.prod(case.cells) <= 64 and any("open" in pair for pair in case.boundary)
+    open_bottom = math.prod(case.cells) <= (512 if case.levels else 64) and case.has_open
     taken, reference = cycles_taken(case, found), cycles_taken(case, plain)
     fewer = case.backend == "crs" and (odd_ring or open_bottom or is_loose(case)) and taken < reference
     if abs(taken - reference) > (LOOSE_VARIATION if case.levels and is_loose(case) else VARIATION) and not fewer:

@@ -47,7 +47,7 @@ class LatticeBetweenFaces:
         shape = tuple(n + 2 for n in self.cells)
         potential = np.zeros((*charges.shape[:-3], *shape))
         for weight, kx, ky, kz in zip(self.weights, *kernels, strict=True):
-            along_x = kx @ used.reshape(*used.shape[:-2], -1)
+            along_x = kx @ used.reshape(*used.shape[:-2], used.shape[-2] * used.shape[-1])
             along_xy = ky @ along_x.reshape(*along_x.shape[:-1], *used.shape[-2:])
             potential += along_xy @ (weight * kz.T)
         potential /= np.prod(self.spacing)

@@ -9,7 +9,7 @@ namespace amrpic::freespace {
 namespace {
 
 constexpr Real pi = 3.14159265358979323846;
-constexpr Real step = 0.25;  ///< of the logarithm of time
+constexpr Real step = 0.24;  ///< of the logarithm of time
 
 /// What is left of a unit at a time, and the rates at which the plate at 0 and the other one are met, times the time.
 struct Meeting {

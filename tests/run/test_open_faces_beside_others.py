@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -131,3 +132,37 @@ def test_a_bunch_in_its_window_expands_as_one_at_rest(comm, faces):
     scale = np.abs(kicks[0.0]).max()
     assert scale > 1e-3 * ELECTRON_MASS * speed
     np.testing.assert_allclose(kicks[speed] / scale, kicks[0.0] / scale, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("faces", "words"),
+    [
+        ({}, "zero at infinity"),
+        ({"z": "periodic"}, r"-λ ln\(r/L\)/2πε₀, .* L = 0.5 m"),
+        ({"z": "neumann"}, r"-λ ln\(r/L\)/2πε₀, .* L = 1 m"),
+        ({"y": "periodic", "z": "periodic"}, r"-σ\|d\|/2ε₀"),
+        ({"y": "neumann", "z": "periodic"}, r"-σ\|d\|/2ε₀"),
+        ({"y": ["open", "dirichlet"], "z": "periodic"}, "of the Dirichlet faces"),
+    ],
+)
+def test_the_zero_of_phi_is_the_one_that_is_stated(faces, words):
+    """Of charge that is even along the axes without an open face: around it, its potential is that of a point, a line, a sheet."""
+    domain = amrpic.Domain((-1, -1, -0.25), (1, 1, 0.25), (40, 40, 10), faces)
+    assert re.search(words, domain.zero_of_phi)
+    hierarchy, closed = amrpic.Hierarchy(MPI.COMM_SELF, domain), [axis in faces and "open" not in faces[axis] for axis in "xyz"]
+    sigma = np.where(closed, np.inf, 0.08)
+    rho = amrpic.Field(hierarchy, "C/m^3").fill(
+        lambda *place: EPS0 * np.exp(-sum((x / s) ** 2 / 2 for x, s in zip(place, sigma, strict=True)))
+    )
+    phi, _ = amrpic.PoissonSolver(hierarchy, tolerance=1e-9).solve(rho)
+    d = np.array([0.6, 0.75, 0.9])
+    found = phi.sample(np.stack([d, 0 * d, 0 * d], axis=1), order=3) * EPS0
+    charge = rho.integral() / np.prod([up - low for up, low, repeats in zip(domain.upper, domain.lower, closed, strict=True) if repeats])
+    period = 1.0 if faces.get("z") == "neumann" else 0.5
+    away = np.hypot(d, 2.0)  # of the image in y = 1 at y = 2
+    exact = {
+        "zero at infinity": charge / (4 * np.pi * d),
+        "of the Dirichlet faces": charge / (2 * np.pi) * np.log(away / d),
+        r"-σ\|d\|/2ε₀": -charge * d / 2,
+    }.get(words, -charge / (2 * np.pi) * np.log(d / period))
+    np.testing.assert_allclose(found, exact, rtol=3e-3, atol=3e-4 * np.abs(exact).max())

@@ -57,34 +57,47 @@ bool Images::are_none() const {
                      [](AxisImages const& a) { return a.copies.size() == 1 && a.period == 0; });
 }
 
-std::vector<Image> Images::copies(Which which) const {
-  std::vector<Image> out;
-  for (auto const& z : axes_[2].copies)
-    for (auto const& y : axes_[1].copies)
-      for (auto const& x : axes_[0].copies) {
-        std::array<AxisImages::Copy, 3> const of{x, y, z};
-        if (which != Which::all && of[std::size_t(across_)].reflects != (which == Which::against)) continue;
-        Image image;
-        for (std::size_t d = 0; d < 3; ++d) {
-          image.reflects[d] = of[d].reflects;
-          image.shift[d] = of[d].shift;
-          image.sign *= of[d].sign;
-        }
-        out.push_back(image);
+std::vector<std::vector<Image>> Images::copies(Which which) const {
+  std::vector<std::vector<Image>> out;
+  std::array<std::size_t, 3> n{};
+  auto const for_each = [&](bool of_lattices, auto&& f) {
+    auto const count = [&](std::size_t d) { return (axes_[d].period > 0) == of_lattices ? axes_[d].copies.size() : 1; };
+    auto const all = [&](std::size_t d, auto const& next) {
+      for (std::size_t i = 0; i < count(d); ++i) {
+        if ((axes_[d].period > 0) == of_lattices) n[d] = i;
+        next();
       }
+    };
+    all(2, [&] { all(1, [&] { all(0, f); }); });
+  };
+  for_each(false, [&] {
+    std::vector<Image> together;
+    for_each(true, [&] {
+      Image image;
+      for (std::size_t d = 0; d < 3; ++d) {
+        auto const& copy = axes_[d].copies[n[d]];
+        if (which != Which::all && int(d) == across_ && copy.reflects != (which == Which::against)) return;
+        image.reflects[d] = copy.reflects;
+        image.shift[d] = copy.shift;
+        image.sign *= copy.sign;
+      }
+      together.push_back(image);
+    });
+    if (!together.empty()) out.push_back(std::move(together));
+  });
   return out;
 }
 
-int Images::doublings(int d) const {
-  int const period = axes_[std::size_t(d)].period;
+double Images::longest_period() const {
+  double out = 0;
+  for (int d = 0; d < 3; ++d) out = std::max(out, axes_[std::size_t(d)].period * shape_[d]);
+  return out;
+}
+
+int Images::doublings(int d, double width) const {
+  double const period = axes_[std::size_t(d)].period * shape_[d];
   if (period == 0) return 0;
-  double widest = 0;  // of what lies across: open extents with their reflection, and other periods
-  for (int e = 0; e < 3; ++e) {
-    AxisImages const& other = axes_[std::size_t(e)];
-    int const cells = other.period > 0 ? other.period : cells_[e] * int(other.copies.size());
-    if (e != d) widest = std::max(widest, cells * shape_[e]);
-  }
-  return fewest_doublings + std::max(0, int(std::ceil(std::log2(widest / (period * shape_[d])))));
+  return fewest_doublings + std::max(0, int(std::ceil(std::log2(std::max(width, longest_period()) / period))));
 }
 
 double Images::apart(int d, double place, double other) const {
@@ -143,17 +156,35 @@ class Joined {
   Octree& tree_;
 };
 
-}  // namespace
+/// The widest extent of a node across all lattices.
+double width_across(TreeNode const& node, Images const& images) {
+  double out = 0;
+  for (int d = 0; d < 3; ++d)
+    if (images.axis(d).period == 0) out = std::max(out, 2 * node.half[d]);
+  return out;
+}
 
-void add_images(Octree& tree, Images const& images, Which which) {
-  tree.tops.clear();
-  if (tree.empty()) return;
-  for (Image const& image : images.copies(which)) tree.tops.push_back({0, image});
-  if (!images.has_lattice()) return;
+/// The nodes that are not far longer than the periods, or not known in parts.
+std::vector<int> parts_of(Octree const& tree, Images const& images) {
+  std::vector<int> out, stack{0};
+  while (!stack.empty()) {
+    int const n = stack.back();
+    stack.pop_back();
+    TreeNode const& node = tree.nodes[std::size_t(n)];
+    if (node.is_shared && width_across(node, images) > 2 * images.longest_period())
+      for (int c = node.children; c-- > 0;) stack.push_back(node.first_child + c);
+    else
+      out.push_back(n);
+  }
+  return out;
+}
+
+/// Add the lattice of the copies of a node.
+void add_lattice(Octree& tree, int number, std::vector<Image> const& copies, Images const& images) {
   Point const shape = images.shape();
-  Member const root{tree.nodes.front(), tree.moments.front()};
+  Member const given{tree.nodes[std::size_t(number)], tree.moments[std::size_t(number)]};
   std::vector<Joined::Block> blocks;
-  for (auto const& [node, image] : tree.tops) blocks.push_back({node, image, image_of(root, image, shape)});
+  for (Image const& image : copies) blocks.push_back({number, image, image_of(given, image, shape)});
   Joined joined(tree);
   while (blocks.size() > 1) {
     std::vector<Joined::Block> pairs;
@@ -171,7 +202,10 @@ void add_images(Octree& tree, Images const& images, Which which) {
     return out;
   };
   Cell length{}, left{};
-  for (int d = 0; d < 3; ++d) length[d] = images.axis(d).period, left[d] = images.doublings(d);
+  for (int d = 0; d < 3; ++d) {
+    length[d] = images.axis(d).period;
+    left[d] = images.doublings(d, width_across(given.node, images));
+  }
   for (;;) {
     int next = -1;
     for (int d = 0; d < 3; ++d)
@@ -181,43 +215,61 @@ void add_images(Octree& tree, Images const& images, Which which) {
     length[next] *= 2;
     --left[next];
   }
-  tree.tops = {{block.node, block.image}};
+  std::vector<Octree::Copy> tops{{block.node, block.image}};
   for (int d = 0; d < 3; ++d) {  // as far to either side
     if (length[d] == 0) continue;
-    auto const tops = tree.tops;
-    for (auto [node, image] : tops) {
-      Image forth;
-      forth.shift[std::size_t(d)] = length[d];
-      tree.tops.push_back({node, image.after(forth)});
-    }
+    Image forth;
+    forth.shift[std::size_t(d)] = length[d];
+    for (std::size_t n = 0, count = tops.size(); n < count; ++n)
+      tops.push_back({tops[n].node, tops[n].image.after(forth)});
   }
+  tree.tops.insert(tree.tops.end(), tops.begin(), tops.end());
 }
 
-Closing::Closing(Octree const& tree, Images const& images, Lattice const& lattice, Which which) {
-  if (!images.has_lattice() || tree.empty()) return;
-  Point const shape = lattice.shape();
+}  // namespace
+
+void add_images(Octree& tree, Images const& images, Which which) {
+  tree.tops.clear();
+  if (tree.empty()) return;
+  auto const copies = images.copies(which);
+  if (images.has_lattice()) tree.repeated = parts_of(tree, images);
+  for (auto const& together : copies)
+    if (!images.has_lattice())
+      tree.tops.push_back({0, together.front()});
+    else
+      for (int node : tree.repeated) add_lattice(tree, node, together, images);
+}
+
+Closing::Closing(Octree const& tree, Images const& images, Which which) {
+  Point const shape = images.shape();
   int axes = 0;
   for (int d = 0; d < 3; ++d) {
     if (images.axis(d).period == 0) continue;
     along_[std::size_t(axes++)] = d;
     period_[d] = images.axis(d).period * shape[d];
-    reach_[d] = std::ldexp(period_[d], images.doublings(d));
   }
   if (axes == 2) normal_ = 3 - along_[0] - along_[1];
-  Member const root{tree.nodes.front(), tree.moments.front()};
-  for (Image const& image : images.copies(which)) {
-    Member const member = image_of(root, image, shape);
-    auto const& m = member.moments;
-    Copy copy{member.node.centre, plain_moments(m).dipole, m[0].re, {}};
-    double const m20 = m[harmonic_index(2, 0)].re;
-    auto const &m21 = m[harmonic_index(2, 1)], &m22 = m[harmonic_index(2, 2)];
-    // Without trace: 3 z^2 - r^2 sums to 4 M20, x z + i y z to 2 M21, x^2 - y^2 to 8 Re M22, x y to 4 Im M22.
-    copy.second = {{{4 * m22.re - 2 * m20 / 3, 4 * m22.im, 2 * m21.re},
-                    {4 * m22.im, -4 * m22.re - 2 * m20 / 3, 2 * m21.im},
-                    {2 * m21.re, 2 * m21.im, 4 * m20 / 3}}};
-    for (std::size_t d = 0; d < 3; ++d) copy.second[d][d] -= copy.charge * period_[d] * period_[d] / 12;
-    copies_.push_back(copy);
+  for (int n : tree.repeated)
+    for (auto const& together : images.copies(which))
+      for (Image const& image : together)
+        add({tree.nodes[std::size_t(n)], tree.moments[std::size_t(n)]}, image, images);
+}
+
+void Closing::add(Member const& given, Image const& image, Images const& images) {
+  Member const member = image_of(given, image, images.shape());
+  auto const& m = member.moments;
+  Copy copy{member.node.centre, plain_moments(m).dipole, m[0].re, {}, {}};
+  double const m20 = m[harmonic_index(2, 0)].re;
+  auto const &m21 = m[harmonic_index(2, 1)], &m22 = m[harmonic_index(2, 2)];
+  // Without trace: 3 z^2 - r^2 sums to 4 M20, x z + i y z to 2 M21, x^2 - y^2 to 8 Re M22, x y to 4 Im M22.
+  copy.second = {{{4 * m22.re - 2 * m20 / 3, 4 * m22.im, 2 * m21.re},
+                  {4 * m22.im, -4 * m22.re - 2 * m20 / 3, 2 * m21.im},
+                  {2 * m21.re, 2 * m21.im, 4 * m20 / 3}}};
+  for (int d = 0; d < 3; ++d) {
+    copy.second[std::size_t(d)][std::size_t(d)] -= copy.charge * period_[d] * period_[d] / 12;
+    copy.reach[d] = std::ldexp(period_[d], images.doublings(d, width_across(given.node, images)));
   }
+  copies_.push_back(copy);
 }
 
 double Closing::at(Point const& place) const {
@@ -237,7 +289,7 @@ double Closing::around_axis(Copy const& copy, Point const& x) const {
   double const rho2 = x[u] * x[u] + x[v] * x[v];
   double sum = -2 * copy.charge * std::log(period_[w]);
   for (int side : {-1, 1}) {
-    double const end = 0.5 * period_[w], a = side < 0 ? x[w] + end + reach_[w] : reach_[w] - end - x[w];
+    double const end = 0.5 * period_[w], a = side < 0 ? x[w] + end + copy.reach[w] : copy.reach[w] - end - x[w];
     double const r = std::sqrt(a * a + rho2), near = 1 / (r * (a + r));
     double const bend = -(2 * r + a) * near * near / r;  // slope of `near` along u, over u
     double const da = side < 0 ? 1 : -1;                 // slope of a
@@ -264,7 +316,7 @@ double Closing::beside_plane(Copy const& copy, Point const& x) const {
     for (int side_q : {-1, 1}) {
       auto const to_end = [&](int axis, int side) {
         double const end = 0.5 * period_[axis];
-        return side < 0 ? x[axis] + end + reach_[axis] : reach_[axis] - end - x[axis];
+        return side < 0 ? x[axis] + end + copy.reach[axis] : copy.reach[axis] - end - x[axis];
       };
       double const u = to_end(p, side_p), v = to_end(q, side_q), du = -side_p, dv = -side_q;
       double const r = std::sqrt(u * u + v * v + z * z), angle = std::atan2(u * v, z * r);

@@ -40,10 +40,12 @@ class Images {
   /// Whether there are none.
   bool are_none() const;
   AxisImages const& axis(int d) const { return axes_[std::size_t(d)]; }
-  /// The maps within a period of each axis.
-  std::vector<Image> copies(Which which) const;
-  /// How often a block of copies doubles along an axis; 0 where there is no lattice.
-  int doublings(int d) const;
+  /// The maps within a period of each axis, those together that differ on lattice axes alone.
+  std::vector<std::vector<Image>> copies(Which which) const;
+  /// The longest period, and 0 without any; in units of the smallest spacing.
+  double longest_period() const;
+  /// How often a block of copies doubles along an axis, of charge so wide; 0 where there is no lattice.
+  int doublings(int d, double width) const;
   Point const& shape() const { return shape_; }
   bool has_lattice() const { return axes_[0].period > 0 || axes_[1].period > 0 || axes_[2].period > 0; }
   /// Distance along an axis between a place and the nearest image of another one; in units of the smallest spacing.
@@ -56,7 +58,8 @@ class Images {
   int across_ = -1;
 };
 
-/// Let a tree begin with its images: `tops`. All ranks have the same ones, since all know the root.
+/// Let a tree begin with its images: `tops`. Of charge that is far longer across lattices than these repeat after each
+/// part has its own one. All ranks have the same ones, since all know the nodes at the top.
 void add_images(Octree& tree, Images const& images, Which which);
 
 /// What the copies of a lattice that are further away than its blocks reach make: these as a uniform continuation, with
@@ -66,7 +69,8 @@ void add_images(Octree& tree, Images const& images, Which which);
 /// axis phi tends to -lambda / (2 pi) ln(distance / period), beside a plane of two to -sigma |distance| / 2.
 class Closing {
  public:
-  Closing(Octree const& tree, Images const& images, Lattice const& lattice, Which which);
+  /// `tree`: with its images.
+  Closing(Octree const& tree, Images const& images, Which which);
 
   bool is_empty() const { return copies_.empty(); }
   /// 4 pi times the potential, lengths in units of the smallest spacing.
@@ -78,14 +82,16 @@ class Closing {
     Point centre, dipole;
     double charge;
     std::array<std::array<double, 3>, 3> second;  ///< sum q x x, without trace, less what a uniform period has
+    Point reach;                                  ///< of blocks to either side
   };
+  void add(Member const& given, Image const& image, Images const& images);
   double around_axis(Copy const& copy, Point const& from_centre) const;
   double beside_plane(Copy const& copy, Point const& from_centre) const;
 
   std::vector<Copy> copies_;
   std::array<int, 2> along_{-1, -1};  ///< the lattice axes
   int normal_ = -1;                   ///< of a plane of two
-  Point period_{}, reach_{};          ///< of blocks to either side
+  Point period_{};
 };
 
 }  // namespace amrpic::freespace

@@ -214,7 +214,7 @@ OctreeBuilder::Found const* OctreeBuilder::find(Block const& block) const {
   return place != found.end() && place->place == block.place ? &*place : nullptr;
 }
 
-Octree OctreeBuilder::finish(std::vector<NodeRecord> const& received) {
+Octree OctreeBuilder::finish(std::vector<NodeRecord> const& received, int top) {
   Octree out;
   int const last = grids_.count() - 1;
   if (found_[std::size_t(last)].empty()) return out;
@@ -256,7 +256,12 @@ Octree OctreeBuilder::finish(std::vector<NodeRecord> const& received) {
   for (std::size_t n = 0; n < nodes.size(); ++n) {
     if (out.nodes[n].leaf >= 0) continue;
     auto [from, to] = children_of(nodes[n]);
-    while (to - from == 1) std::tie(from, to) = children_of(*from);  // the same node
+    int grid = nodes[n].block.grid;
+    while (to - from == 1) {  // the same node
+      grid = from->block.grid;
+      std::tie(from, to) = children_of(*from);
+    }
+    out.nodes[n].is_shared = grid > top;
     out.nodes[n].first_child = int(nodes.size());
     out.nodes[n].children = int(to - from);
     for (; from != to; ++from) {

@@ -24,6 +24,7 @@ struct TreeNode {
   Cell first, extent;  ///< then, bounding box of the charged cells of that level
   int leaf;            ///< number of the leaf, or -1
   int first_child, children;
+  bool is_shared = false;          ///< whether its children are known on all ranks
   int first_copy = 0, copies = 0;  ///< of a block of images, which has no children
 
   /// Whether what lies in it is not known on this rank.
@@ -39,8 +40,9 @@ struct Octree {
     int node;
     Image image;
   };
-  std::vector<Copy> tops{};    ///< what all begins with
-  std::vector<Copy> copies{};  ///< of blocks of images
+  std::vector<Copy> tops{};     ///< what all begins with
+  std::vector<Copy> copies{};   ///< of blocks of images
+  std::vector<int> repeated{};  ///< the nodes of which there are lattices
 
   bool empty() const { return nodes.empty(); }
 };
@@ -119,8 +121,9 @@ class OctreeBuilder {
   /// Append the children of a block that this rank has joined.
   void append_children(int grid, Found const& block, std::vector<NodeRecord>& to) const;
 
-  /// What of the tree is seen: this rank's own blocks and the children of other blocks that were received.
-  Octree finish(std::vector<NodeRecord> const& received);
+  /// What of the tree is seen: this rank's own blocks and the children of other blocks that were received. `top`: the
+  /// grid that is known on all ranks.
+  Octree finish(std::vector<NodeRecord> const& received, int top);
 
  private:
   struct Child {

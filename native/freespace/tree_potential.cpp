@@ -304,40 +304,59 @@ std::vector<std::vector<Interactions>> TreePotential::interactions(Octree const&
   if (tree.empty()) return out;
   std::vector<double> limits;
   for (TreeNode const& node : tree.nodes) limits.push_back(far_limit(tree, node));
-  std::vector<std::vector<Octree::Copy>> left(patches.size());  // to the children
-  std::vector<Octree::Copy> stack;
+  struct Visit {
+    int node, image;  ///< the latter by number
+  };
+  std::vector<Image> images;
+  std::vector<Visit> tops, stack;
+  auto const number = [&images](Image const& image) {
+    auto const known = std::find(images.begin(), images.end(), image);
+    if (known != images.end()) return int(known - images.begin());
+    return images.push_back(image), int(images.size()) - 1;
+  };
+  for (auto const& [node, image] : tree.tops) tops.push_back({node, number(image)});
+  std::vector<std::vector<Visit>> left(patches.size());  // to the children
   for (std::size_t p = patches.size(); p-- > 0;) {
     GhostPatch const& patch = patches[p];
     PatchBox const here(lattice_.cells, shape_, patch);
     double const separation = options_.separation * here.width;
-    stack = patch.parent < 0 ? tree.tops : left[std::size_t(patch.parent)];
-    std::size_t of_image = 0;
-    auto const found = [&](Image const& image) -> Interactions& {
-      if (of_image < out[p].size() && out[p][of_image].image == image) return out[p][of_image];
-      for (of_image = 0; of_image < out[p].size(); ++of_image)
-        if (out[p][of_image].image == image) return out[p][of_image];
-      out[p].push_back({image, {}, {}});
-      return out[p].back();
+    stack = patch.parent < 0 ? tops : left[std::size_t(patch.parent)];
+    PatchBox box = here;
+    int seen_by = -1, place = -1;  // the latter of what is seen by it
+    std::vector<int> places;       // by image
+    auto const found = [&]() -> Interactions& {
+      if (place < 0) {
+        if (int(places.size()) <= seen_by) places.resize(images.size(), -1);
+        place = places[std::size_t(seen_by)];
+        if (place < 0) {
+          place = places[std::size_t(seen_by)] = int(out[p].size());
+          out[p].push_back({images[std::size_t(seen_by)], {}, {}});
+        }
+      }
+      return out[p][std::size_t(place)];
     };
     while (!stack.empty()) {
       auto const [n, image] = stack.back();
       stack.pop_back();
       TreeNode const& node = tree.nodes[std::size_t(n)];
-      PatchBox const box = here.seen_by(image, shape_);
+      if (image != seen_by) {
+        box = here.seen_by(images[std::size_t(image)], shape_);
+        seen_by = image, place = -1;
+      }
       double const limit2 = limits[std::size_t(n)] * limits[std::size_t(n)];
       auto const width = summed_width(node);
       double const distance2 = to_centre2(box, node);
       bool const is_far = distance2 > limit2;
       bool const is_mostly_near = !is_far && between_centres2(box, node) < mostly_near2 * limit2;
       if (is_far && to_charges2(box, node) >= separation * separation) {
-        if (is_own[p]) found(image).far.push_back(multipole(tree, n, distance2));
+        if (is_own[p]) found().far.push_back(multipole(tree, n, distance2));
       } else if (!is_far && node.copies > 0) {
         for (int c = node.copies; c-- > 0;) {
           Octree::Copy const& copy = tree.copies[std::size_t(node.first_copy + c)];
-          stack.push_back({copy.node, copy.image.after(image)});
+          stack.push_back({copy.node, number(copy.image.after(images[std::size_t(image)]))});
         }
       } else if (!is_far && is_summed(node, box)) {
-        if (is_own[p]) found(image).mixed.push_back(n);
+        if (is_own[p]) found().mixed.push_back(n);
       } else if (!is_far && node.leaf < 0 &&
                  (width ? *width > box.width : node.radius > box.radius || is_mostly_near)) {
         // What is closed on this rank has nothing that its own patches, here or below, are near to.
@@ -345,7 +364,7 @@ std::vector<std::vector<Interactions>> TreePotential::interactions(Octree const&
           throw std::logic_error("TreePotential: a node near a wall is not known on its rank");
         for (int c = node.children; c-- > 0;) stack.push_back({node.first_child + c, image});
       } else if (patch.is_block()) {
-        if (is_own[p]) found(image).mixed.push_back(n);
+        if (is_own[p]) found().mixed.push_back(n);
       } else {
         left[p].push_back({n, image});
       }

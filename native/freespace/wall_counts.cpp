@@ -192,7 +192,7 @@ WallCounts count(WallPlan const& plan, Options const& options, std::vector<Charg
   Images const& images = geometry.mesh.images;
   TreePotential const potential(geometry.mesh.lattice, int(geometry.mesh.levels.size()) - 1, !images.are_none(),
                                 options);
-  Octree tree = builder.finish(nodes);
+  Octree tree = builder.finish(nodes, geometry.top);
   add_images(tree, images, Which::all);
   for (auto const& of_patch : potential.interactions(tree, plan.patches, plan.is_own))
     for (Interactions const& seen : of_patch) {

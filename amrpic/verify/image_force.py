@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -78,8 +77,8 @@ def table(comm: MPI.Comm) -> Table:
         "A cold spherical Gaussian bunch of electrons, cut off at 3σ, with open faces on its other sides, in a box of 12σ "
         "across: it falls from 10σ to 4σ above a grounded plane, or is turned back 4.5σ above a Neumann plane while its own "
         "field expands it. Largest change of kinetic plus potential energy over the largest change of the kinetic one, on the "
-        "finest mesh, and its order; what momentum it gains against the pressure of the field on the plane, ½ε₀E² over the mesh "
-        "and in closed form beyond it, for the field of a point charge at the centre and its image; what part of the pressure "
+        "finest mesh, and its order; what momentum it gains against the pressure of the field on the plane, ½ε₀E² over the "
+        "mesh and in closed form beyond it, for the field of a point charge at the centre and its image; what part of the pressure "
         "that is at the start. The last row is for comparison.",
         ("bunch", "σ/h", "energy", "order", "momentum", "beyond the box"),
         [row(comm, flight) for flight in (FALLS, TURNS, FREE)],
@@ -130,7 +129,9 @@ def _forces(state: State, wall: str, height: float) -> tuple[float, float]:
     domain, (dx, dy, dz) = state.hierarchy.domain, state.hierarchy.spacing(0)
     x, y = (domain.lower[axis] + (np.arange(domain.cells[axis]) + 0.5) * (dx, dy)[axis] for axis in (0, 1))
     first, second = (
-        state.phi.sample(np.stack(np.broadcast_arrays(x[:, None], y, place), axis=-1).reshape(-1, 3)).reshape(len(x), -1)
+        state.phi.sample(np.stack(np.broadcast_arrays(x[:, None], y, place), axis=-1).reshape(-1, 3)).reshape(
+            len(x), -1
+        )
         for place in (0.5 * dz, 1.5 * dz)
     )
     strength = 0.5 * EPS0 * (2 * CHARGE / (4 * math.pi * EPS0)) ** 2

@@ -20,11 +20,15 @@ def bunch_and_image(run: Path, picture: Path) -> None:
     fields = amrpic.open(run).fields[40]
     x, z = np.linspace(-3, 3, 241) * MM, np.linspace(0.005, 2.195, 220) * MM
     places = np.stack(np.broadcast_arrays(x, 0.0, z[:, None]), axis=-1)
-    phi, rho = (field.sample(places.reshape(-1, 3), order=2).reshape(places.shape[:2]) for field in (fields.phi, fields.rho))
+    phi, rho = (
+        field.sample(places.reshape(-1, 3), order=2).reshape(places.shape[:2]) for field in (fields.phi, fields.rho)
+    )
     figure = Figure(figsize=(8, 6), layout="constrained")
     axes = figure.add_subplot()
     both = np.vstack([-rho[::-1], rho]) / abs(rho).max()
-    axes.imshow(both, origin="lower", extent=(-3, 3, -2.2, 2.2), cmap="RdBu_r", vmin=-1, vmax=1, interpolation="bilinear")
+    axes.imshow(
+        both, origin="lower", extent=(-3, 3, -2.2, 2.2), cmap="RdBu_r", vmin=-1, vmax=1, interpolation="bilinear"
+    )
     levels = [-60, -50, -40, -30, -20, -10, -5]  # V
     style = {"colors": "0.2", "linewidths": 0.9}
     lines = axes.contour(x / MM, z / MM, phi, levels, linestyles="solid", **style)
@@ -32,7 +36,10 @@ def bunch_and_image(run: Path, picture: Path) -> None:
     axes.contour(x / MM, -z / MM, -phi, [-level for level in reversed(levels)], linestyles="dotted", **style)
     axes.axhspan(-0.07, 0.07, color="0.4")
     white = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8}
-    for height, text in ((1.95, "bunch, in free space above the plane"), (-2.05, "image: the same charge, of the other sign")):
+    for height, text in (
+        (1.95, "bunch, in free space above the plane"),
+        (-2.05, "image: the same charge, of the other sign"),
+    ):
         axes.text(-2.85, height, text, fontsize="small", bbox=white)
     axes.text(-2.85, 0, "cathode, 0 V", color="white", fontsize="small", verticalalignment="center")
     axes.set(xlabel="x / mm", ylabel="z / mm")
@@ -40,7 +47,7 @@ def bunch_and_image(run: Path, picture: Path) -> None:
 
 
 def spread(run: Path, picture: Path) -> None:
-    """Draw the radius of a round beam that spreads by its own charge, with the universal curve, and its potential at the end."""
+    """Draw the radius of a round beam that spreads by its own charge beside the universal curve, and its last potential."""
     series, results = time_series.read(run / "series.csv"), amrpic.open(run)
     beam, period = results.scene.bunches[0], results.scene.domain.upper[2] - results.scene.domain.lower[2]
     speed = series["window_z"][-1] / series["time"][-1]

@@ -83,7 +83,12 @@ def test_collectives_are_two_of_64_kb_at_most(counts):
 @pytest.mark.mpi(ranks=(2, 3, 4))
 @pytest.mark.parametrize(
     "boundary",
-    ["open", {"z": ["dirichlet", "open"]}, {"z": "periodic"}, {"x": ["open", "neumann"], "y": "dirichlet", "z": "periodic"}],
+    [
+        "open",
+        {"z": ["dirichlet", "open"]},
+        {"z": "periodic"},
+        {"x": ["open", "neumann"], "y": "dirichlet", "z": "periodic"},
+    ],
     ids=["open", "cathode", "long beam", "three kinds beside it"],
 )
 def test_counts_are_those_of_a_solve(comm, boundary):

@@ -78,8 +78,8 @@ def table(comm: MPI.Comm) -> Table:
         "across: it falls from 10σ to 4σ above a grounded plane, or is turned back 4.5σ above a Neumann plane while its own "
         "field expands it. Largest change of kinetic plus potential energy over the largest change of the kinetic one, on the "
         "finest mesh, and its order; what momentum it gains against the pressure of the field on the plane, ½ε₀E² over the "
-        "mesh and in closed form beyond it, for the field of a point charge at the centre and its image; what part of the pressure "
-        "that is at the start. The last row is for comparison.",
+        "mesh and in closed form beyond it, for the field of a point charge at the centre and its image; what part of the "
+        "pressure that is at the start. The last row is for comparison.",
         ("bunch", "σ/h", "energy", "order", "momentum", "beyond the box"),
         [row(comm, flight) for flight in (FALLS, TURNS, FREE)],
     )

@@ -30,10 +30,10 @@ def bunch_and_image(run: Path, picture: Path) -> None:
         both, origin="lower", extent=(-3, 3, -2.2, 2.2), cmap="RdBu_r", vmin=-1, vmax=1, interpolation="bilinear"
     )
     levels = [-60, -50, -40, -30, -20, -10, -5]  # V
-    style = {"colors": "0.2", "linewidths": 0.9}
-    lines = axes.contour(x / MM, z / MM, phi, levels, linestyles="solid", **style)
-    axes.clabel(lines, levels[1:], fmt="%g V", fontsize="x-small")
-    axes.contour(x / MM, -z / MM, -phi, [-level for level in reversed(levels)], linestyles="dotted", **style)
+    lines = axes.contour(x / MM, z / MM, phi, levels, colors="0.2", linewidths=0.9, linestyles="solid")
+    axes.clabel(lines, levels[1:-1], fmt="%g V", fontsize="x-small")
+    mirrored = [-level for level in reversed(levels)]
+    axes.contour(x / MM, -z / MM, -phi, mirrored, colors="0.2", linewidths=0.9, linestyles="dotted")
     axes.axhspan(-0.07, 0.07, color="0.4")
     white = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8}
     for height, text in (
@@ -50,6 +50,7 @@ def spread(run: Path, picture: Path) -> None:
     """Draw the radius of a round beam that spreads by its own charge beside the universal curve, and its last potential."""
     series, results = time_series.read(run / "series.csv"), amrpic.open(run)
     beam, period = results.scene.bunches[0], results.scene.domain.upper[2] - results.scene.domain.lower[2]
+    assert beam.species is not None
     speed = series["window_z"][-1] / series["time"][-1]
     gamma = 1 / np.sqrt(1 - (speed / SPEED_OF_LIGHT) ** 2)
     per_length = beam.bunch_charge / period

@@ -133,7 +133,7 @@ def test_a_bunch_in_its_window_expands_as_one_at_rest(comm, faces):
         )
         kicks[velocity] = momentum[np.argsort(id)] - (0, 0, mean)
     scale = np.abs(kicks[0.0]).max()
-    assert scale > 1e-3 * ELECTRON_MASS * speed
+    assert scale > 5e-4 * ELECTRON_MASS * speed  # it expands by a third
     np.testing.assert_allclose(kicks[speed] / scale, kicks[0.0] / scale, atol=1e-3)
 
 

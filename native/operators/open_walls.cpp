@@ -4,14 +4,6 @@
 
 namespace amrpic {
 
-Index3 wrapped(Level const& level, Index3 cell) {
-  for (int d = 0; d < 3; ++d) {
-    int const n = level.domain().extent(d);
-    if (level.periodic()[d]) cell[d] -= floor_divide(cell[d], n) * n;
-  }
-  return cell;
-}
-
 OpenWalls::OpenWalls(MultigridLevels const& multigrid) : multigrid_(multigrid) {
   auto const is_open = [](auto const& sides) { return std::count(sides.begin(), sides.end(), Boundary::open) > 0; };
   if (std::none_of(multigrid.boundary.begin(), multigrid.boundary.end(), is_open)) return;
@@ -35,7 +27,7 @@ bool refines_open_wall(MultigridLevels const& multigrid) {
 
 Real OpenWalls::first(std::size_t l, Index3 const& cell, int axis, int side) const {
   Real const own = multigrid_.levels[l]->spacing()[axis];
-  Real const finest = refined_[axis][side] ? finest_spacing(l, wrapped(*multigrid_.levels[l], cell), axis, side)
+  Real const finest = refined_[axis][side] ? finest_spacing(l, multigrid_.levels[l]->wrapped(cell), axis, side)
                                            : std::min(own, multigrid_.levels[multigrid_.base]->spacing()[axis]);
   Real const wall = side == 0 ? 0.5 : multigrid_.upper[l][axis].wall;
   return ghost_that_vanishes(wall + 0.5 * finest / own);

@@ -57,8 +57,13 @@ class DomainSection(CuboidSection):
         WithJsonSchema(BOUNDARY_SCHEMA),
     ] = Field(
         default=dict.fromkeys(AXES, ("open", "open")),
-        description="open, dirichlet (0 V), neumann (no flux) or periodic: one for all faces, or per axis one or a "
-        "pair (lower, upper). Open, φ(∞) = 0, is the default because a bunch in free space is the usual case.",
+        description="open, dirichlet (0 V), neumann (no flux) or periodic: one for all faces, or per axis one or a pair "
+        "(lower, upper). Open is the default because a bunch in free space is the usual case. All kinds go together: behind "
+        "open faces lies free space, with the images of the charge in walls and periods, which reach on without end. "
+        "While a face is open or Dirichlet, the net charge may be any. Dirichlet faces fix φ. Without any, φ(∞) = 0; "
+        "but where one axis has no open face, φ tends to -λ ln(r/L)/2πε₀ around it, where two have none to -σ|z|/2ε₀ "
+        "beside them, λ and σ being the charge per length and area, and L the period, or twice the distance of "
+        "Neumann faces. Without open faces the mean of φ is zero.",
     )
     potential: Potentials = Field(
         default={},

@@ -62,6 +62,8 @@ class MatrixFreeBackend : public Backend {
   matrixfree::Cycle cycle_;
   std::optional<Source> source_;
   std::vector<Real> scale_;  ///< [level]: from a residual to the cycle's
+  Blocks<float> residual_, correction_;
+  Field* phi_ = nullptr;
 
  private:
   void relax_behind_gaps();
@@ -73,7 +75,6 @@ class MatrixFreeBackend : public Backend {
 
   static constexpr std::size_t even_steps = 5;
 
-  Blocks<float> residual_, correction_;
   std::vector<matrixfree::Vector> kept_;  ///< residuals, while the error of the mesh is estimated
   Real largest_source_ = 0;               ///< magnitude of f, V/m^2
   Real unit_ = 1;                         ///< what 1 stands for in the corrections of the cycle, V
@@ -85,7 +86,6 @@ class MatrixFreeBackend : public Backend {
   std::vector<Real> steps_;         ///< factors of corrections, in turn
   std::size_t cycles_ = 0;          ///< since `start`
   MinimalResidual corrections_;
-  Field* phi_ = nullptr;
   Real latest_residual_ = 0;    ///< its norm, V/m^2
   Real latest_correction_ = 0;  ///< the largest on this rank, V
   bool phi_is_zero_ = false;

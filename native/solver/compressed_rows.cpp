@@ -1,6 +1,7 @@
 #include "solver/compressed_rows.hpp"
 
 #include "operators/operators.hpp"
+#include "solver/backend.hpp"
 
 namespace amrpic {
 

@@ -6,7 +6,7 @@
 #include "operators/operators.hpp"
 #include "solver/bicgstab.hpp"
 #include "solver/compressed_rows.hpp"
-#include "solver/matrixfree_backend.hpp"
+#include "solver/backend.hpp"
 #include "solver/multigrid.hpp"
 
 namespace amrpic {
@@ -16,11 +16,11 @@ namespace {
 /// The eight operators of each level as compressed rows, with the solver's whole menu: residuals are those of the
 /// matrices, and so is the cycle, in double precision. All else is the matrix-free backend's. Where that combines
 /// corrections, or estimates the error of the mesh, they pass through its vectors, which are of single precision.
-class CrsBackend : public MatrixFreeBackend {
+class CrsBackend : public Backend {
  public:
   /// `reusable`: of a solver of the same options, or empty; becomes what is in use. Collective.
   CrsBackend(Problem const& problem, Reusable& reusable)
-      : MatrixFreeBackend(problem),
+      : Backend(problem),
         hierarchy_(*problem.hierarchy),
         multigrid_levels_(coarsen_below(refinement_levels(hierarchy_, shift_of(problem.options)), hierarchy_.domain(),
                                         {hierarchy_.max_grid_size()}, problem.options.coarse_levels)),
@@ -32,19 +32,19 @@ class CrsBackend : public MatrixFreeBackend {
   }
 
   void start(Field& phi, bool is_zero) override {
-    MatrixFreeBackend::start(phi, is_zero);
+    Backend::start(phi, is_zero);
     in_single_ = false;
     if (bicgstab_) bicgstab_->restart();
     if (problem_.options.krylov == KrylovKind::fgmres) accelerate();
   }
   void accelerate() override {
     if (bicgstab_) return;  // by which cycles are accelerated already
-    MatrixFreeBackend::accelerate();
+    Backend::accelerate();
     in_single_ = true;
   }
   Real discretisation_error() override {
     bool const before = std::exchange(in_single_, true);
-    Real const out = MatrixFreeBackend::discretisation_error();
+    Real const out = Backend::discretisation_error();
     in_single_ = before;
     find_residual();  // which a cycle has taken the place of
     return out;
@@ -58,7 +58,7 @@ class CrsBackend : public MatrixFreeBackend {
   std::int64_t bottom_setups() const override { return bottom_setups_; }
   std::int64_t levels_assembled() const override { return levels_assembled_; }
   std::size_t bytes() const override {
-    std::size_t sum = MatrixFreeBackend::bytes();
+    std::size_t sum = Backend::bytes();
     for (MultigridLevel const& level : multigrid_.levels())
       for (auto const* o : level.all_operators()) sum += o->bytes();
     return sum;
@@ -68,7 +68,7 @@ class CrsBackend : public MatrixFreeBackend {
   Real find_residual() override;
   void run_cycle() override;
   Real add_correction(Real scale) override {
-    if (in_single_) return MatrixFreeBackend::add_correction(scale);
+    if (in_single_) return Backend::add_correction(scale);
     return composite_.add(blocks(&MultigridLevel::correction), scale / unit_of_correction(), *phi_);
   }
 

@@ -4,9 +4,9 @@
 
 #include "mesh/norm.hpp"
 #include "operators/operators.hpp"
+#include "solver/backend.hpp"
 #include "solver/bicgstab.hpp"
 #include "solver/compressed_rows.hpp"
-#include "solver/backend.hpp"
 #include "solver/multigrid.hpp"
 
 namespace amrpic {
@@ -75,8 +75,8 @@ class CrsBackend : public Backend {
  private:
   LevelOperators const& operators(int level) const { return *operators_[multigrid_levels_.base + std::size_t(level)]; }
   MultigridLevel& cycle_level(int l) { return multigrid_.level(multigrid_levels_.base + std::size_t(l)); }
-  /// Vectors of this cycle have one scale on all levels, that of the base in the matrix-free one: for residuals
-  /// `scale_[0]`, and for corrections so many of that one's.
+  /// What a correction of this cycle is divided by to be one of the matrix-free cycle. Here residuals are scaled by
+  /// `scale_[0]` on all levels, so that both cycles see the same ones on the base, but for its spacing squared.
   Real unit_of_correction() { return cycle_.level(0).scale(); }
 
   MultigridOperators assembled(Reusable& reusable);
@@ -117,9 +117,8 @@ MultigridOperators CrsBackend::assembled(Reusable& reusable) {
 std::shared_ptr<Bottom> CrsBackend::bottom(Reusable& reusable) {
   if (!reusable.bottom || !reusable.bottom->serves(*operators_.front())) {
     reusable.bottom.reset();  // the old one goes before the new one comes
-    reusable.bottom =
-        std::make_shared<Bottom>(hierarchy_.comm(), *operators_.front(),
-                                 is_singular(hierarchy_.domain(), problem_.options), problem_.options);
+    reusable.bottom = std::make_shared<Bottom>(hierarchy_.comm(), *operators_.front(),
+                                               is_singular(hierarchy_.domain(), problem_.options), problem_.options);
     ++bottom_setups_;
   }
   return reusable.bottom;
@@ -190,9 +189,9 @@ Real CrsBackend::find_residual() {
   mesh.for_each_box([&](int l, int b) {
     Block<Real> const& from = values[std::size_t(l)][std::size_t(b)];
     for (int k = 0; k < mesh.box(l, b).extent(2); ++k)
-      mesh.write_plane(
-          l, b, k, from.origin + k * from.pitch_z, scale_[std::size_t(l)], residual_[std::size_t(l)][std::size_t(b)],
-          [&](Real const* cells, std::ptrdiff_t count) { magnitude.add(cells, count, mesh.volume(l)); });
+      mesh.write_plane(l, b, k, from.origin + k * from.pitch_z, scale_[std::size_t(l)],
+                       residual_[std::size_t(l)][std::size_t(b)],
+                       [&](Real const* cells, std::ptrdiff_t count) { magnitude.add(cells, count, mesh.volume(l)); });
   });
   for (int l = 0; l < mesh.levels(); ++l) cycle_level(l).right_hand_side().own().scale(scale_[0]);
   return magnitude.over(mesh.comm());
@@ -224,9 +223,8 @@ void CrsBackend::replace(LevelVector& (MultigridLevel::*vector)(),
 
 void CrsBackend::run_cycle() {
   if (in_single_)
-    for_each_pair(residual_, &MultigridLevel::right_hand_side, [&](int l, float there, Real& here) {
-      here = scale_[0] / scale_[std::size_t(l)] * Real(there);
-    });
+    for_each_pair(residual_, &MultigridLevel::right_hand_side,
+                  [&](int l, float there, Real& here) { here = scale_[0] / scale_[std::size_t(l)] * Real(there); });
   if (bicgstab_) replace(&MultigridLevel::right_hand_side, &BiCgStab::direction);
   multigrid_.cycle();
   if (bicgstab_) replace(&MultigridLevel::correction, &BiCgStab::step);

@@ -12,7 +12,7 @@ import pytest
 from mpi4py import MPI
 
 import mpi_batch
-from amrpic import Domain, Field, Hierarchy, PoissonSolver, Scene
+from amrpic import Domain, Hierarchy, PoissonSolver, Scene
 from amrpic.mesh.boxes import table_of
 from amrpic.run.memory import LAPLACIAN, _copies, run_memory
 from examples import EXAMPLES, with_bunches

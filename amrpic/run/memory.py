@@ -39,7 +39,7 @@ PLACING = 1.75  # measured: what a rank holds of particles while they are placed
 # each fine face at the edge of a level the lists of fits.
 SWEPT, FACE_LISTS = 2 * 4 + 0.4 + 0.6, 16
 
-# Entries that a fine face at the edge of a level adds to the Laplacian, and to E: nine coarse cells for its ghost, and a
+# Entries that a fine face at the edge of a level adds to the Laplacian: nine coarse cells for its ghost, and a
 # quarter of what its coarse cell takes instead of one neighbour, eight fine cells and as many coarse ones.
 INTERFACE = 9 + (8 + 8) // 4
 
@@ -113,20 +113,17 @@ def _rasters(scene: Scene) -> int:
 
 
 def _compressed_rows(scene: Scene, boxes: Sequence[Array]) -> dict[str, int]:
-    """Return the bytes of the backend of compressed rows."""
+    """Return the bytes of the backend of compressed rows, which has lists and vectors of the matrix-free one as well."""
     cells = [int(cells_of(level).sum()) for level in boxes]
-    covered = [n // CHILDREN for n in cells[1:]] + [0]
-    at_edges = INTERFACE * ENTRY * _faces(scene, boxes)
-    total, uncovered = sum(cells), sum(cells) - sum(covered)
     copied, weights, copies = _all_copies(scene, boxes)
     operators = sum(_operators(scene, *level) for level in _cycle(scene, cells)) + copies * LAPLACIAN
-    of_axis = 3 * ROW * total + 2 * ENTRY * uncovered + _of_covered(scene, cells, covered)
-    vectors = (total + sum(cells_below(scene))) * (3 * NUMBER + 1 + _smoother(scene)) + total * 2 * NUMBER
+    total = sum(cells)
+    vectors = (total + sum(cells_below(scene))) * (3 * NUMBER + 1 + _smoother(scene)) + total * NUMBER
     of_copies = copies * (3 * NUMBER + _smoother(scene)) + copied * (NUMBER + ENTRY + ROW) + weights * ENTRY
     return {
-        "operators": operators + at_edges,
-        "operators of E": AXES * of_axis + at_edges,
+        "operators": operators + INTERFACE * ENTRY * _faces(scene, boxes),
         "multigrid": vectors + of_copies,
+        **_matrix_free(scene, boxes),
     }
 
 
@@ -205,11 +202,6 @@ def _copies(scene: Scene, level: int, boxes: Array) -> tuple[int, int, int]:
     return copied, weights, copies
 
 
-def _of_covered(scene: Scene, cells: Sequence[int], covered: Sequence[int]) -> int:
-    """Bytes of one axis of E in covered cells and of their list, for matched clouds; none before "auto" is settled."""
-    return ROW * sum(cells[:-1]) + (2 * ENTRY + 4) * sum(covered) if scene.particles.interface == "matched" else 0
-
-
 def _smoother(scene: Scene) -> int:
     """Bytes per cell of the smoother: colours, or what Ifpack2 holds, vectors of its own."""
     return 4 if scene.solver.smoother == "red-black" else 6 * NUMBER
@@ -222,8 +214,6 @@ def _fields(scene: Scene, boxes: Sequence[Array]) -> int:
     state = 2 * total + AXES * _boundary_cells(
         scene, boxes
     )  # charge density and potential; field in the boundary cells of boxes
-    if scene.solver.backend == "crs":
-        state += components  # from which compressed rows make it
     if scene.schedule.last_step == 0:
         return state + max(components, total)  # to be written; what stands for all of them before the first solve
     if scene.extrapolates_potential:

@@ -238,6 +238,7 @@ Real CompositeResidual::residual_of_zero(Source const& source, Norm norm, std::v
   return magnitude.over(mesh_.comm());
 }
 template Real CompositeResidual::residual_of_zero(Source const&, Norm, std::vector<Real> const&, Blocks<float> const&);
+template Real CompositeResidual::residual_of_zero(Source const&, Norm, std::vector<Real> const&, Blocks<Real> const&);
 
 Real CompositeResidual::right_hand_side_norm(Source const& source, Norm norm) {
   Magnitude magnitude(norm);

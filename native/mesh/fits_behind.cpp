@@ -147,8 +147,8 @@ Reads fine_reads_before_gaps(Level const& coarser, Level const& level) {
       });
 }
 
-std::vector<CellOfBox> cells_behind_gaps(Level const& coarser, Level const& level) {
-  std::vector<CellOfBox> out;
+std::vector<Index3> cells_behind_gaps(Level const& coarser, Level const& level) {
+  std::vector<Index3> out;
   if (!gap_fits_take_fine_cells(level)) return out;
   std::map<int, std::vector<ArrayOnBox<FitNumber>>> known;  // fits behind the faces of finer boxes
   for (int c = coarser.first_local_box(); c < coarser.last_local_box(); ++c) {
@@ -163,7 +163,7 @@ std::vector<CellOfBox> cells_behind_gaps(Level const& coarser, Level const& leve
         });
     }
     for_each_cell(behind.box(), [&](Index3 const& cell) {
-      if (behind(cell)) out.push_back({c, cell});
+      if (behind(cell)) out.push_back(cell);
     });
   }
   return out;

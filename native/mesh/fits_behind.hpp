@@ -66,13 +66,7 @@ Reads fine_reads_in_gaps(Level const& level, LevelFaces const& own, Level const&
 /// The finer cells that those fits read which coarse cells, behind the same faces, share.
 Reads fine_reads_before_gaps(Level const& coarser, Level const& level);
 
-/// A cell of a box of a level.
-struct CellOfBox {
-  int box;
-  Index3 cell;
-};
-
 /// The cells of this rank's boxes of the coarser level behind fine faces with fits in gaps. Local.
-std::vector<CellOfBox> cells_behind_gaps(Level const& coarser, Level const& level);
+std::vector<Index3> cells_behind_gaps(Level const& coarser, Level const& level);
 
 }  // namespace amrpic

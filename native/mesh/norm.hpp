@@ -71,7 +71,7 @@ class Magnitude {
   }
 
   /// The same for values that lie elsewhere: `largest()` is their largest magnitude, as `Largest` has it, and
-  /// `sum(factor)` the sum of the magnitudes of factor times each, or of their squares where `sums_squares`.
+  /// `sum(factor)` the sum of the magnitudes of factor times each, or of their squares for l2.
   template <class LargestOf, class SumOf>
   void add_by(LargestOf&& largest_of, SumOf&& sum_of_scaled, Real volume) {
     if (norm_ == Norm::max) {
@@ -87,7 +87,6 @@ class Magnitude {
     int const range = largest < least ? small : largest > greatest ? large : ordinary;
     sums_[range] += volume * sum_of_scaled(scale[range]);
   }
-  bool sums_squares() const { return norm_ == Norm::l2; }
 
   /// Such a sum, of values side by side.
   static Real sum_of(Norm norm, Real const* values, std::ptrdiff_t n, Real factor) {

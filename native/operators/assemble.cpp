@@ -95,7 +95,6 @@ class LevelAssembly {
       out.restriction = levels_.to_finer(fine_forms_, restriction_);
     }
     out.uncovered = std::move(uncovered_);
-    out.mask = UntilFinalize(on_device(out.uncovered));
     out.has_gaps = !gaps_.empty();
   }
 

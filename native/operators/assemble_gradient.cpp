@@ -39,7 +39,7 @@ class FieldAssembly {
                 LevelCells const* fine)
       : level_(own.level()),
         faces_(*multigrid.faces[l]),
-        beside_(coarse || fine ? multigrid.beside(l) : LevelsBeside{}),
+        beside_(multigrid.beside(l)),
         forms_(level_, multigrid.walls[l]),
         levels_{&own, coarse, fine, refinement_ratio, refinement_ratio, {}, {}, {}},
         own_(own.rows()),
@@ -48,16 +48,15 @@ class FieldAssembly {
     for (int d = 0; d < 3; ++d) regular_[std::size_t(d)] = own_.forms.number(forms_.along({}, d));
   }
 
-  /// In the cells of which `wanted(row)` is true. Local.
-  template <class Wanted>
-  void name_rows(Execution execution, Wanted&& wanted) {
+  /// In uncovered cells. Local.
+  void name_rows(std::vector<char> const& uncovered) {
     for (int b = level_.first_local_box(); b < level_.last_local_box(); ++b) {
       StencilCells const n = stencil_cells_of(faces_[std::size_t(b - level_.first_local_box())], level_, beside_);
       levels_.add(level_.box(b), n, {});
-      for_each_run(row_kinds(n, execution), level_.local_offset(b),
+      for_each_run(row_kinds(n, Execution::composite), level_.local_offset(b),
                    [&](RowKind kind, Index3 const& first, RowRun const& run) {
                      for_each_in_run(first, run, [&](Index3 const& cell, LocalIndex row) {
-                       if (wanted(row)) name(kind, n, cell, row, execution);
+                       if (uncovered[std::size_t(row)]) name(kind, n, cell, row);
                      });
                    });
       levels_.add_own(n);
@@ -65,10 +64,6 @@ class FieldAssembly {
   }
 
   /// Collective.
-  std::array<SparseMatrix, 3> own() const {
-    return {levels_.to_own(own_.forms, own_.axes[0]), levels_.to_own(own_.forms, own_.axes[1]),
-            levels_.to_own(own_.forms, own_.axes[2])};
-  }
   std::array<GradientAxis, 3> all() const {
     std::array<GradientAxis, 3> out;
     for (std::size_t d = 0; d < 3; ++d) {
@@ -84,12 +79,12 @@ class FieldAssembly {
     LocalIndex own, coarse, fine;
   };
 
-  void name(RowKind kind, StencilCells const& n, Index3 const& cell, LocalIndex row, Execution execution) {
+  void name(RowKind kind, StencilCells const& n, Index3 const& cell, LocalIndex row) {
     if (kind == RowKind::regular) {
       for (std::size_t d = 0; d < 3; ++d) own_.axes[d].set(row, regular_[d]);
       return;
     }
-    CellShape const shape = cell_shape(n, cell, execution, gaps_);
+    CellShape const shape = cell_shape(n, cell, Execution::composite, gaps_);
     auto const& numbers = numbers_(shape, [&] {
       std::array<Numbers, 3> out;
       for (int d = 0; d < 3; ++d) {
@@ -125,17 +120,9 @@ void assemble_gradient(MultigridLevels const& multigrid, MultigridOperators cons
     if (std::exchange(o.has_gradient, true)) continue;
     FieldAssembly assembly(multigrid, l, *o.cells, multigrid.refines(l) ? operators[l - 1]->cells.get() : nullptr,
                            multigrid.refines(l + 1) ? operators[l + 1]->cells.get() : nullptr);
-    assembly.name_rows(Execution::composite, [&](LocalIndex row) { return o.uncovered[std::size_t(row)]; });
+    assembly.name_rows(o.uncovered);
     o.gradient = assembly.all();
   }
-}
-
-// Levels nest, so the neighbours of a covered cell are cells of its level or lie behind a wall.
-std::array<SparseMatrix, 3> assemble_covered_gradient(MultigridLevels const& multigrid, std::size_t l,
-                                                      LevelOperators const& operators) {
-  FieldAssembly assembly(multigrid, l, *operators.cells, nullptr, nullptr);
-  assembly.name_rows(Execution::without_finer, [&](LocalIndex row) { return !operators.uncovered[std::size_t(row)]; });
-  return assembly.own();
 }
 
 }  // namespace amrpic

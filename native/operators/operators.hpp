@@ -31,7 +31,6 @@ struct LevelOperators {
   SparseMatrix restriction;                   ///< rows of covered cells; columns: next finer level
   SparseMatrix prolongation;                  ///< columns: next coarser level
   std::vector<char> uncovered;            ///< diagonal of the eighth operator: 1 where no finer level covers the cell
-  UntilFinalize<DeviceArray<char>> mask;  ///< the same in the memory of Tpetra's node
   std::array<GradientAxis, 3> gradient;   ///< empty until assemble_gradient
   bool has_gradient = false;
   bool has_gaps = false;  ///< rows of this rank have fits in narrow gaps, which depend on the two next finer levels
@@ -59,10 +58,5 @@ Assembled assemble(Communicator const& comm, MultigridLevels const& multigrid, P
 
 /// Add the three axes of the gradient to those operators that lack them. Collective.
 void assemble_gradient(MultigridLevels const& multigrid, MultigridOperators const& operators);
-
-/// The three axes of E = -grad phi in the covered cells of level l, by differences between cells of that level alone;
-/// other rows are empty. Collective.
-std::array<SparseMatrix, 3> assemble_covered_gradient(MultigridLevels const& multigrid, std::size_t l,
-                                                      LevelOperators const& operators);
 
 }  // namespace amrpic

@@ -1,8 +1,5 @@
 #include "operators/walls.hpp"
 
-#include "stencil/field_difference.hpp"
-#include "stencil/laplacian.hpp"
-
 namespace amrpic {
 
 Real3 Walls::position(Domain const& domain, Level const& level, std::size_t face) const {
@@ -33,24 +30,6 @@ Walls find_walls(Domain const& domain, Level const& level) {
     }
   out.datum.assign(out.faces.size(), 0.0);
   return out;
-}
-
-void subtract_from_laplacian(Walls const& walls, WallGhosts const& ghosts, Equation const& equation,
-                             std::vector<Real>& f) {
-  for (std::size_t i = 0; i < walls.faces.size(); ++i) {
-    auto const& face = walls.faces[i];
-    f[face.row] -= datum_weight(equation, face.axis, ghosts[face.axis][face.side]) * walls.datum[i];
-  }
-}
-
-void add_to_field(Walls const& walls, WallGhosts const& ghosts, Real3 const& spacing, int axis,
-                  std::vector<char> const& uncovered, bool which, Real* e) {
-  for (std::size_t i = 0; i < walls.faces.size(); ++i) {
-    auto const& face = walls.faces[i];
-    if (face.axis != axis || bool(uncovered[face.row]) != which) continue;
-    Real const ghost = ghosts[axis][face.side].datum * walls.datum[i], factor = field_factor(spacing[axis]);
-    e[face.row] += face.side == 0 ? field_between(factor, ghost, 0.0) : field_between(factor, 0.0, ghost);
-  }
 }
 
 }  // namespace amrpic

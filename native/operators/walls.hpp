@@ -4,7 +4,6 @@
 
 #include "mesh/hierarchy.hpp"
 #include "stencil/boundary.hpp"
-#include "stencil/equation.hpp"
 
 namespace amrpic {
 
@@ -27,13 +26,5 @@ struct Walls {
 
 /// The wall faces of a level, with zero data.
 Walls find_walls(Domain const& domain, Level const& level);
-
-/// f -= what the data add to the Laplacian.
-void subtract_from_laplacian(Walls const& walls, WallGhosts const& ghosts, Equation const& equation,
-                             std::vector<Real>& f);
-
-/// e += what the data add to -grad phi along an axis, in cells whose entry in `uncovered` is `which`.
-void add_to_field(Walls const& walls, WallGhosts const& ghosts, Real3 const& spacing, int axis,
-                  std::vector<char> const& uncovered, bool which, Real* e);
 
 }  // namespace amrpic

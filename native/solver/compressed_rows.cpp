@@ -1,12 +1,9 @@
 #include "solver/compressed_rows.hpp"
 
-#include "solver/crs_backend.hpp"
+#include "operators/operators.hpp"
+#include "solver/backend.hpp"
 
 namespace amrpic {
-
-std::unique_ptr<Backend> make_crs_backend(Problem const& problem, Reusable& reusable) {
-  return std::make_unique<CrsBackend>(problem, reusable);
-}
 
 std::shared_ptr<Assembled const> assemble_to_show(Problem const& problem) {
   auto const out = std::make_shared<Assembled>(

@@ -3,10 +3,13 @@
 
 #include <memory>
 
-#include "solver/backend.hpp"
 #include "solver/reusable.hpp"
 
 namespace amrpic {
+
+class Backend;
+struct LevelOperators;
+struct Problem;
 
 /// The backend of compressed rows. Throws SolverError if this was built without Trilinos. Collective.
 std::unique_ptr<Backend> make_crs_backend(Problem const& problem, Reusable& reusable);

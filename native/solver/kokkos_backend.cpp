@@ -5,7 +5,7 @@
 #include "base/runtime.hpp"
 #include "kokkos/composite.hpp"
 #include "kokkos/cycle.hpp"
-#include "solver/matrixfree_backend.hpp"
+#include "solver/backend.hpp"
 
 namespace amrpic {
 
@@ -17,37 +17,37 @@ Problem const& of_second_order(Problem const& problem) {
   return problem;
 }
 
-class KokkosBackend : public MatrixFreeBackend {
+class KokkosBackend : public Backend {
  public:
   explicit KokkosBackend(Problem const& problem)
-      : MatrixFreeBackend(of_second_order(problem)), kernels_(std::make_unique<Kernels>(*this, problem)) {}
+      : Backend(of_second_order(problem)), kernels_(std::make_unique<Kernels>(*this, problem)) {}
 
   void start(Field& phi, bool is_zero) override {
-    MatrixFreeBackend::start(phi, is_zero);
+    Backend::start(phi, is_zero);
     kernels_->composite.start(*source_, phi);
     host_takes_part_ = false;
   }
   void finish() override { kernels_->composite.potential_to_host(); }
   void accelerate() override {
-    MatrixFreeBackend::accelerate();
+    Backend::accelerate();
     host_takes_part_ = true;
     residuals_to_host();
   }
   Real largest_phi_term() override {
     kernels_->composite.potential_to_host();
-    return MatrixFreeBackend::largest_phi_term();
+    return Backend::largest_phi_term();
   }
   Real discretisation_error() override {
     kernels_->composite.potential_to_host();
     bool const before = std::exchange(host_takes_part_, true);
     residuals_to_host();
-    Real const out = MatrixFreeBackend::discretisation_error();
+    Real const out = Backend::discretisation_error();
     for_each_level([](kokkos::SweptLevel& level) { level.right_hand_side().to_device(); });
     host_takes_part_ = before;
     return out;
   }
   std::size_t bytes() const override {
-    return MatrixFreeBackend::bytes() + kernels_->composite.bytes() + kernels_->cycle.bytes();
+    return Backend::bytes() + kernels_->composite.bytes() + kernels_->cycle.bytes();
   }
 
  protected:

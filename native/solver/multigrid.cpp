@@ -59,21 +59,16 @@ Multigrid::Multigrid(Communicator const& comm, MultigridLevels const& multigrid,
   }
 }
 
-void Multigrid::cycle(Stopwatch& stopwatch) {
+void Multigrid::cycle() {
   run_cycle(multigrid_levels_,
-            {[&](std::size_t l) {
-               stopwatch.time("pre_smooth_and_restrict", [&] { levels_[l].restrict_right_hand_side(levels_[l - 1]); });
-             },
-             [&](std::size_t l, Guess guess) {
-               stopwatch.time("pre_smooth_and_restrict",
-                              [&] { levels_[l].pre_smooth_and_restrict(guess, levels_[l - 1]); });
-             },
+            {[&](std::size_t l) { levels_[l].restrict_right_hand_side(levels_[l - 1]); },
+             [&](std::size_t l, Guess guess) { levels_[l].pre_smooth_and_restrict(guess, levels_[l - 1]); },
              [&](std::size_t l) {
-               stopwatch.time("prolong_and_post_smooth", [&] { levels_[l].prolong_and_post_smooth(levels_[l - 1]); });
+               levels_[l].prolong_and_post_smooth(levels_[l - 1]);
                levels_[l].update_copies();
              },
              [&] {
-               stopwatch.time("bottom", [&] { bottom_->solve(levels_[0].right_hand_side(), levels_[0].correction()); });
+               bottom_->solve(levels_[0].right_hand_side(), levels_[0].correction());
                levels_[0].update_copies();
              }});
 }

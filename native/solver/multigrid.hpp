@@ -8,7 +8,6 @@
 #include "solver/bottom.hpp"
 #include "solver/options.hpp"
 #include "solver/smoother.hpp"
-#include "solver/stopwatch.hpp"
 
 namespace amrpic {
 
@@ -56,7 +55,7 @@ class Multigrid {
   MultigridLevel& level(std::size_t l) { return levels_[l]; }  ///< coarse to fine
 
   /// The corrections from the finest level down; reads every refinement level's right-hand side. Collective.
-  void cycle(Stopwatch& stopwatch);
+  void cycle();
 
  private:
   MultigridLevels const& multigrid_levels_;

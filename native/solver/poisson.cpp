@@ -12,7 +12,6 @@
 #include "operators/semicoarse.hpp"
 #include "solver/compressed_rows.hpp"
 #include "solver/kokkos_backend.hpp"
-#include "solver/matrixfree_backend.hpp"
 #include "solver/net_charge.hpp"
 
 namespace amrpic {
@@ -31,19 +30,18 @@ std::string scientific(Real value) {
 PoissonSolver::PoissonSolver(std::shared_ptr<Hierarchy const> hierarchy, SolverOptions const& options,
                              Reusable const& reusable)
     : given_(std::move(hierarchy)),
-      opened_(options.across.axis < 0 ? given_ : given_->opened(options.across.axis)),
-      hierarchy_(opened_->stretched(options.stretch)),
+      hierarchy_((options.across.axis < 0 ? given_ : given_->opened(options.across.axis))->stretched(options.stretch)),
       options_(options),
       reusable_(reusable) {
   for (int l = 0; l < hierarchy_->level_count(); ++l)
     walls_.push_back(find_walls(hierarchy_->domain(), hierarchy_->level(l)));
-  Problem const problem{opened_, hierarchy_, options_, walls_};
+  Problem const problem{hierarchy_, options_, walls_};
   if (options_.backend == BackendKind::crs)
     backend_ = make_crs_backend(problem, reusable_);
   else if (options_.backend == BackendKind::kokkos)
     backend_ = make_kokkos_backend(problem);
   else
-    backend_ = std::make_unique<MatrixFreeBackend>(problem);
+    backend_ = std::make_unique<Backend>(problem);
   if (hierarchy_->domain().has(Boundary::open)) plan_open_walls();
 }
 

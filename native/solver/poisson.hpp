@@ -101,8 +101,8 @@ class PoissonSolver {
   bool below_discretisation(SolveReport& report, Real right_hand_side);
 
   std::shared_ptr<Hierarchy const> given_;
-  std::shared_ptr<Hierarchy const> opened_;     ///< where walls lie across the motion of charge
-  std::shared_ptr<Hierarchy const> hierarchy_;  ///< the given one in stretched coordinates
+  /// The given one in stretched coordinates, open where walls lie across the motion of charge.
+  std::shared_ptr<Hierarchy const> hierarchy_;
   SolverOptions options_;
   Reusable reusable_;
   std::vector<Walls> walls_;

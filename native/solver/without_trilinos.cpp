@@ -1,4 +1,5 @@
 // In place of all that needs Trilinos, in a build without it.
+#include "solver/backend.hpp"
 #include "solver/compressed_rows.hpp"
 #include "solver/node_aggregates.hpp"
 

@@ -1,11 +1,9 @@
 #pragma once
 
 #include <functional>
-#include <memory>
 #include <vector>
 
 #include "operators/level_cells.hpp"
-#include "solver/options.hpp"
 
 namespace amrpic {
 
@@ -17,25 +15,32 @@ struct CompositeEquations {
   std::function<CompositeVector()> zero;  ///< fresh values
   /// out = A x; fills x in covered cells and the halo.
   std::function<void(CompositeVector& x, CompositeVector& out)> multiply;
-  std::function<Real(CompositeVector const&, CompositeVector const&)> dot;  ///< over uncovered cells of all ranks
 };
 
-/// Krylov iteration with one cycle as its right preconditioner, which may change from one cycle to the next.
+/// BiCGStab (van der Vorst), two cycles to an iteration, with one cycle as its right preconditioner.
 ///
 /// Every cycle ends with a new approximation, whose true residual the caller computes and hands in: so cycles,
 /// residual history and rounding floor mean what they mean for the cycles by themselves.
-class Krylov {
+class BiCgStab {
  public:
-  virtual ~Krylov() = default;
+  explicit BiCgStab(CompositeEquations equations);
 
-  /// Given the residual of the approximation, return what the next cycle is applied to. Collective.
-  virtual CompositeVector const& direction(CompositeVector const& residual) = 0;
+  /// Forget what was found for other right-hand sides.
+  void restart() { started_ = half_ = false; }
+
+  /// Given the residual of the approximation, zero in covered cells, return what the next cycle is applied to.
+  /// Collective.
+  CompositeVector const& direction(CompositeVector const& residual);
 
   /// Given the cycle's correction, return what to add to the approximation. Collective.
-  virtual CompositeVector const& step(CompositeVector const& correction) = 0;
-};
+  CompositeVector const& step(CompositeVector const& correction);
 
-/// Null if nothing is to be accelerated.
-std::unique_ptr<Krylov> make_krylov(KrylovKind kind, CompositeEquations equations);
+ private:
+  CompositeEquations equations_;
+  bool started_ = false;
+  bool half_ = false;  ///< the next cycle is the second one of an iteration
+  Real product_ = 1, alpha_ = 1, omega_ = 1;
+  CompositeVector residual_, shadow_, search_, image_, half_image_, step_;
+};
 
 }  // namespace amrpic

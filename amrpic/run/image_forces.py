@@ -9,11 +9,11 @@ import numpy as np
 
 from ..mesh.domain import AXES
 from ..mesh.mirror import Mirror
+from ..parallel import global_sum
 from ..particles.clouds import Clouds
 from ..particles.energy_bins import Frames
 from ..particles.motion_of_charge import charges
 from ..particles.particles import Particles
-from ..parallel import global_sum
 from ..stages.push import IN_CACHE
 from ..units import SPEED_OF_LIGHT
 from .leapfrog import felt

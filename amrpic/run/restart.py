@@ -18,7 +18,7 @@ from ..io.checkpoint_reader import read, read_manifest
 from ..io.checkpoint_writer import Snapshot
 from ..io.provenance import Provenance
 from ..io.writer_ranks import Writers
-from ..mesh.domain import AXES, FACES, Domain
+from ..mesh.domain import FACES, Domain
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.mirror import Mirror

@@ -115,7 +115,9 @@ def _push(
         magnetic = _sum(magnetic, gather(solution.magnetic, particles, plan.clouds))
     if solution.images is not None:
         of_images = felt(solution.images, particles, plan.clouds)
-        electric, magnetic = _sum(electric, of_images[0]), _sum(magnetic, of_images[1])
+        electric = _sum(electric, of_images[0])
+        if solution.images.frames.only != LABORATORY:
+            magnetic = _sum(magnetic, of_images[1])
     return push(
         solution.efield,
         particles,

@@ -79,14 +79,6 @@ class DomainSection(CuboidSection):
 
     @model_validator(mode="after")
     def _faces_fit(self) -> Self:
-        domain = self.value
-        if any("open" in pair for pair in domain.boundary) and any(domain.periodic):
-            raise complaint(
-                "mixes open and periodic faces, for which there is no method yet",
-                "make all faces open, or the open ones dirichlet or neumann with room around the charge",
-                path="boundary",
-                found=domain.boundary,
-            )
         require_kind(self.potential, self.boundary, "dirichlet", "potential")
         require_kind(self.slope, self.boundary, "neumann", "slope")
         return self

@@ -36,12 +36,15 @@ struct OpenWalls {
     std::vector<int> faces, cells;
     std::vector<std::size_t> places;
   };
+  Options options;
   FreeSpace space;
   std::shared_ptr<WallPlan const> plan;
   std::vector<AtLevel> levels;
 
   OpenWalls(std::shared_ptr<Hierarchy const> const& mesh, Options const& options)
-      : space(mesh->comm(), wall_mesh(*mesh).lattice, options), plan(space.plan(wall_mesh(*mesh, options.layers()))) {
+      : options(options),
+        space(mesh->comm(), wall_mesh(*mesh).lattice, !wall_mesh(*mesh).images.are_none(), options),
+        plan(space.plan(wall_mesh(*mesh, options.layers()))) {
     for (int l = 0; l < mesh->level_count(); ++l) {
       AtLevel& at = levels.emplace_back();
       for (auto const& face : find_walls(mesh->domain(), mesh->level(l)).faces) {
@@ -54,7 +57,7 @@ struct OpenWalls {
     }
   }
   std::vector<double> values(Field const& density) {
-    return space.walls(*plan, charges_of(density, density.hierarchy(), 1.0));
+    return space.walls(*plan, charges_of(density, density.hierarchy(), 1.0, options));
   }
 };
 

@@ -79,6 +79,15 @@ void bind_solver(nb::module_& m) {
       .def_rw("prolongation", &SolverOptions::prolongation)
       .def_rw("screening", &SolverOptions::screening)
       .def_rw("stretch", &SolverOptions::stretch)
+      .def_prop_rw(
+          "across", [](SolverOptions const& o) { return o.across.axis; },
+          [](SolverOptions& o, int axis) { o.across.axis = axis; })
+      .def_prop_rw(
+          "mirror_places", [](SolverOptions const& o) { return o.across.place; },
+          [](SolverOptions& o, std::array<double, 2> const& place) { o.across.place = place; })
+      .def_prop_rw(
+          "mirror_signs", [](SolverOptions const& o) { return o.across.sign; },
+          [](SolverOptions& o, std::array<int, 2> const& sign) { o.across.sign = sign; })
       .def_rw("coarse_levels", &SolverOptions::coarse_levels)
       .def_rw("bottom", &SolverOptions::bottom)
       .def_rw("bottom_preconditioner", &SolverOptions::bottom_preconditioner)
@@ -114,7 +123,7 @@ void bind_solver(nb::module_& m) {
           },
           "hierarchy"_a, "options"_a, "reusable"_a)
       .def("solve", &PoissonSolver::solve, "rho"_a, "phi"_a, "from_zero"_a, "known"_a, "deposited"_a,
-           nb::call_guard<nb::gil_scoped_release>())
+           "images"_a = false, nb::call_guard<nb::gil_scoped_release>())
       .def("electric_field", &PoissonSolver::electric_field, "potential"_a, "covered"_a,
            nb::call_guard<nb::gil_scoped_release>())
       .def("electric_field_as", &PoissonSolver::electric_field_as, "potential"_a, "covered"_a, "holds"_a,

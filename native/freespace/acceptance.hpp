@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <vector>
 
 #include "freespace/lattice.hpp"
 
@@ -23,6 +24,11 @@ struct Options {
   static Options of_order(int order) {
     if (order == 4) return {0.3, 16, 1e-7, 2, 2e-7, 4, 0.6};
     return {};
+  }
+  /// What charge in the first layers of cells at a Dirichlet wall counts at ghosts of open faces beside it, where that
+  /// reflects it: the wall's row, which is not that of an odd image, gives it so much of the image's dipole.
+  std::vector<double> at_dirichlet_walls() const {
+    return operator_order == 4 ? std::vector<double>{0.7560, 1.0239, 1.0010} : std::vector<double>{0.75};
   }
   /// Of ghosts behind a wall.
   int layers() const { return operator_order == 4 ? 2 : 1; }

@@ -115,6 +115,12 @@ void fill(BlockPart const& part, BlockCharges& block) {
     double* const to = block.data() + place;
     for (int i = 0; i < length; ++i) to[i] = factor * row[i];
   });
+  for (auto const& [cells, weight] : part.box->weighted)
+    with_common(part, cells, [&, weight = weight](Cell const& first, Cell const& last) {
+      for (int k = first[2]; k <= last[2]; ++k)
+        for (int j = first[1]; j <= last[1]; ++j)
+          for (int i = first[0]; i <= last[0]; ++i) block[place_in_block({i, j, k})] *= weight;
+    });
   for (ChargeBox::Added const& added : part.box->added)
     with_common(part, added.cells, [&](Cell const& first, Cell const& last) {
       Cell const& lower = added.cells.lower;

@@ -27,8 +27,8 @@ struct BlockKey {
   bool operator<(BlockKey const& o) const;
 };
 
-/// Charges of a box of cells of one level, x fastest: `factor` times `values`, and times what is `added` in some cells.
-/// Cells in `covered` do not count.
+/// Charges of a box of cells of one level, x fastest: `factor` times `values`, in some cells `weighted` once more, and
+/// times what is `added` in some. Cells in `covered` do not count.
 struct ChargeBox {
   struct CellRange {
     Cell lower, upper;  ///< inclusive
@@ -37,12 +37,17 @@ struct ChargeBox {
     CellRange cells;
     std::vector<double> values;  ///< x fastest
   };
+  struct Weighted {
+    CellRange cells;
+    double factor;
+  };
   int level;
   Cell lower, upper;  ///< inclusive
   double const* values;
   double factor;
   std::vector<CellRange> covered{};
   std::vector<Added> added{};
+  std::vector<Weighted> weighted{};
 };
 
 /// Write the charges of the cells `first` .. `last` of a box, which lie in one block, x fastest.

@@ -33,25 +33,29 @@ std::map<int, std::vector<T>> lists_for(std::vector<int> const& ranks) {
 
 }  // namespace
 
-FreeSpace::FreeSpace(Communicator const& comm, Lattice const& lattice, Options const& options)
+FreeSpace::FreeSpace(Communicator const& comm, Lattice const& lattice, bool has_images, Options const& options)
     : comm_(comm),
       lattice_(lattice),
+      has_images_(has_images),
       options_(options),
-      evaluate_(std::make_unique<TreePotential const>(lattice, 0, options)) {}
+      evaluate_(std::make_unique<TreePotential const>(lattice, 0, has_images, options)) {}
 
 std::shared_ptr<WallPlan const> FreeSpace::plan(WallMesh const& mesh) const {
   return std::make_shared<WallPlan const>(std::make_shared<WallGeometry const>(mesh, options_), comm_.rank());
 }
 
-std::vector<double> FreeSpace::walls(WallPlan const& plan, std::vector<ChargeBox> const& local) {
+std::vector<double> FreeSpace::walls(WallPlan const& plan, std::vector<ChargeBox> const& local, Which which) {
   ChargeBlocks const blocks = own_charges(plan, local);
   OctreeBuilder builder = leaves_of(plan, blocks);
   join_upwards(plan, builder);
   auto const near = leaves_of_others(plan, builder, blocks);
-  Octree const tree = builder.finish(children_of_others(plan, builder));
+  Octree tree = builder.finish(children_of_others(plan, builder), plan.geometry().top);
+  Images const& images = plan.geometry().mesh.images;
+  add_images(tree, images, which);
   std::vector<double> values;
   try {
-    values = evaluate_->at({tree, blocks, near}, plan.patches, plan.is_own);
+    Closing const closing(tree, images, which);
+    values = evaluate_->at({tree, blocks, near}, closing, plan.patches, plan.is_own);
   } catch (std::exception const& e) {
     if (comm_.ranks() == 1) throw;
     comm_.abort(e.what());
@@ -105,7 +109,8 @@ OctreeBuilder FreeSpace::leaves_of(WallPlan const& plan, ChargeBlocks const& blo
   int finest = 0;
   for (int level = 0; level < most_levels; ++level)
     if (sums[std::size_t(octaves + level)] > 0) finest = level;
-  if (evaluate_->finest() < finest) evaluate_ = std::make_unique<TreePotential const>(lattice_, finest, options_);
+  if (evaluate_->finest() < finest)
+    evaluate_ = std::make_unique<TreePotential const>(lattice_, finest, has_images_, options_);
 
   std::vector<int> order;
   for (std::size_t n = 0; n < blocks.leaves().size(); ++n)

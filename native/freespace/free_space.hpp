@@ -17,7 +17,7 @@ namespace amrpic::freespace {
 /// of the patches of ghosts with what it sees of the tree, whoever owns the walls.
 class FreeSpace {
  public:
-  FreeSpace(Communicator const& comm, Lattice const& lattice, Options const& options = {});
+  FreeSpace(Communicator const& comm, Lattice const& lattice, bool has_images, Options const& options = {});
   Lattice const& lattice() const { return lattice_; }
 
   /// Who does what on a mesh of this lattice. Local.
@@ -26,7 +26,7 @@ class FreeSpace {
   /// Potential at the ghost centres behind this rank's open walls, on all levels: see `WallPlan::place`. `local`: the
   /// boxes of this rank, level by level. Results do not depend on the ranks. Collective: a few small reductions, else
   /// messages between the ranks of the plan.
-  std::vector<double> walls(WallPlan const& plan, std::vector<ChargeBox> const& local);
+  std::vector<double> walls(WallPlan const& plan, std::vector<ChargeBox> const& local, Which which = Which::all);
 
  private:
   ChargeBlocks own_charges(WallPlan const& plan, std::vector<ChargeBox> local) const;
@@ -42,6 +42,7 @@ class FreeSpace {
 
   Communicator comm_;
   Lattice lattice_;
+  bool has_images_;
   Options options_;
   std::unique_ptr<TreePotential const> evaluate_;
 };

@@ -115,15 +115,22 @@ PatchBox::PatchBox(Cell const& cells, Point const& shape, GhostPatch const& patc
   radius = std::hypot(half[axes[0]], half[axes[1]]);
 }
 
-PatchPoints::PatchPoints(Lattice const& lattice, GhostPatch const& patch)
-    : normal(patch.face / 2), box(lattice.cells, lattice.shape(), patch) {
+PatchBox PatchBox::seen_by(Image const& image, Point const& shape) const {
+  PatchBox out = *this;
+  for (int d = 0; d < 3; ++d) out.centre[d] = image.place(d, centre[d], shape[d]);
+  return out;
+}
+
+PatchPoints::PatchPoints(Lattice const& lattice, GhostPatch const& patch, Image const& image)
+    : normal(patch.face / 2), box(PatchBox(lattice.cells, lattice.shape(), patch).seen_by(image, lattice.shape())) {
   Point const shape = lattice.shape();
   auto const axes = plane_axes(normal);
   place = box.centre[normal];
   for (int t = 0; t < 2; ++t) {
     double const spacing = std::ldexp(shape[axes[t]], -patch.level);
     auto const cells = chebyshev_points(patch.extent[t]);
-    for (int i = 0; i < patch_points; ++i) along[t][i] = (patch.first[t] + cells[i] + 0.5) * spacing;
+    for (int i = 0; i < patch_points; ++i)
+      along[t][i] = image.place(axes[t], (patch.first[t] + cells[i] + 0.5) * spacing, shape[axes[t]]);
   }
 }
 

@@ -11,8 +11,8 @@
 #include <map>
 #include <vector>
 
+#include "freespace/image.hpp"
 #include "freespace/interpolation.hpp"
-#include "freespace/lattice.hpp"
 
 namespace amrpic::freespace {
 
@@ -50,6 +50,7 @@ std::vector<GhostPatch> patches_around(Lattice const& lattice, std::vector<Ghost
 /// The ghosts of a patch as a box, flat along the normal; smallest base spacing = 1.
 struct PatchBox {
   PatchBox(Cell const& cells, Point const& shape, GhostPatch const& patch);  ///< of the base lattice
+  PatchBox seen_by(Image const& image, Point const& shape) const;
 
   Point centre, half;
   double radius;     ///< half its diagonal
@@ -66,9 +67,9 @@ struct PatchBox {
   }
 };
 
-/// Where the points of a patch are.
+/// Where an image maps the points of a patch to.
 struct PatchPoints {
-  PatchPoints(Lattice const& lattice, GhostPatch const& patch);
+  PatchPoints(Lattice const& lattice, GhostPatch const& patch, Image const& image = {});
 
   int normal;
   double place;                                           ///< along the normal

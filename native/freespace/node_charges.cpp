@@ -54,7 +54,8 @@ void NodeCharges::find_rows() {
 }
 
 bool NodeVariant::operator<(NodeVariant const& o) const {
-  return std::tie(node, table, face, layer, target_level) < std::tie(o.node, o.table, o.face, o.layer, o.target_level);
+  return std::tie(node, table, normal, behind, target_level) <
+         std::tie(o.node, o.table, o.normal, o.behind, o.target_level);
 }
 
 std::array<Nodes, 3> ChargesOfNodes::points_of(TreeNode const& node, PointsApart const& points) const {

@@ -40,7 +40,7 @@ struct NodeCharges {
 
 /// Which points charges are wanted on: every `stride`-th one for some ghosts.
 struct NodeVariant {
-  int node, table, face, layer, target_level;
+  int node, table, normal, behind, target_level;  ///< of ghosts in the plane `behind` across an axis
   bool operator<(NodeVariant const& o) const;
 };
 

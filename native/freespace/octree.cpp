@@ -75,6 +75,12 @@ Harmonics<double> join_moments(TreeNode const& parent, Member const* first, Memb
 
 }  // namespace
 
+Member parent_of(Member const* first, Member const* last) {
+  Member out{enclose(first, last), {}};
+  out.moments = join_moments(out.node, first, last);
+  return out;
+}
+
 LatticeMoments plain_moments(Harmonics<double> const& moments) {
   auto const &first = moments[harmonic_index(1, 0)], &second = moments[harmonic_index(1, 1)];
   return {moments[0].re, {2 * second.re, 2 * second.im, first.re}};
@@ -177,10 +183,7 @@ void OctreeBuilder::join_sorted(int grid) {
 Member OctreeBuilder::parent_of(Child const* first, Child const* last) {
   together_.clear();
   for (; first != last; ++first) together_.push_back(members_[std::size_t(first->member)]);
-  Member const *from = together_.data(), *to = from + together_.size();
-  Member out{enclose(from, to), {}};
-  out.moments = join_moments(out.node, from, to);
-  return out;
+  return freespace::parent_of(together_.data(), together_.data() + together_.size());
 }
 
 void OctreeBuilder::add_found(int grid, std::vector<NodeRecord> const& all) {
@@ -211,7 +214,7 @@ OctreeBuilder::Found const* OctreeBuilder::find(Block const& block) const {
   return place != found.end() && place->place == block.place ? &*place : nullptr;
 }
 
-Octree OctreeBuilder::finish(std::vector<NodeRecord> const& received) {
+Octree OctreeBuilder::finish(std::vector<NodeRecord> const& received, int top) {
   Octree out;
   int const last = grids_.count() - 1;
   if (found_[std::size_t(last)].empty()) return out;
@@ -249,10 +252,16 @@ Octree OctreeBuilder::finish(std::vector<NodeRecord> const& received) {
   };
   std::vector<Child> nodes{{{}, {last, {0, 0, 0}}, found_[std::size_t(last)].front().member, 0}};
   add(nodes.front());
+  out.tops = {{0, Image{}}};
   for (std::size_t n = 0; n < nodes.size(); ++n) {
     if (out.nodes[n].leaf >= 0) continue;
     auto [from, to] = children_of(nodes[n]);
-    while (to - from == 1) std::tie(from, to) = children_of(*from);  // the same node
+    int grid = nodes[n].block.grid;
+    while (to - from == 1) {  // the same node
+      grid = from->block.grid;
+      std::tie(from, to) = children_of(*from);
+    }
+    out.nodes[n].is_shared = grid > top;
     out.nodes[n].first_child = int(nodes.size());
     out.nodes[n].children = int(to - from);
     for (; from != to; ++from) {

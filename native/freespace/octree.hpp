@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "freespace/block_grids.hpp"
+#include "freespace/image.hpp"
 #include "freespace/lattice_green.hpp"
 
 namespace amrpic::freespace {
@@ -23,14 +24,25 @@ struct TreeNode {
   Cell first, extent;  ///< then, bounding box of the charged cells of that level
   int leaf;            ///< number of the leaf, or -1
   int first_child, children;
+  bool is_shared = false;          ///< whether its children are known on all ranks
+  int first_copy = 0, copies = 0;  ///< of a block of images, which has no children
 
-  bool is_closed() const { return leaf < 0 && children == 0; }  ///< what lies in it is not known on this rank
+  /// Whether what lies in it is not known on this rank.
+  bool is_closed() const { return leaf < 0 && children == 0 && copies == 0; }
 };
 
 struct Octree {
   std::vector<TreeNode> nodes;  ///< children of a node are neighbours, behind it; the root is the first one
   std::vector<Harmonics<double>> moments;
   std::vector<Expansion> expansions;  ///< the same moments, ready to evaluate
+  /// A node at the places that an image maps to.
+  struct Copy {
+    int node;
+    Image image;
+  };
+  std::vector<Copy> tops{};     ///< what all begins with
+  std::vector<Copy> copies{};   ///< of blocks of images
+  std::vector<int> repeated{};  ///< the nodes of which there are lattices
 
   bool empty() const { return nodes.empty(); }
 };
@@ -43,6 +55,9 @@ struct Member {
 
 /// As `TreeNode::lattice`, with each charge times one.
 LatticeMoments plain_moments(Harmonics<double> const& moments);
+
+/// The node of some children, without these, and their moments about its centre.
+Member parent_of(Member const* first, Member const* last);
 
 Member leaf_member(LeafMoments const& part, int number, Point const& shape);
 
@@ -106,8 +121,9 @@ class OctreeBuilder {
   /// Append the children of a block that this rank has joined.
   void append_children(int grid, Found const& block, std::vector<NodeRecord>& to) const;
 
-  /// What of the tree is seen: this rank's own blocks and the children of other blocks that were received.
-  Octree finish(std::vector<NodeRecord> const& received);
+  /// What of the tree is seen: this rank's own blocks and the children of other blocks that were received. `top`: the
+  /// grid that is known on all ranks.
+  Octree finish(std::vector<NodeRecord> const& received, int top);
 
  private:
   struct Child {

@@ -12,6 +12,8 @@ Sight::Sight(WallMesh const& mesh, BlockGrids const& grids, WallPatches const& p
       options_(options),
       lattice_(mesh.lattice),
       shape_(lattice_.shape()),
+      images_(mesh.images),
+      has_images_(!images_.are_none()),
       near_cells_(near_cells(lattice_, options)) {
   Cell const widest = widest_blocks(shape_);
   double const longest = longest_spacing(shape_);
@@ -49,10 +51,20 @@ Sight::BlockBox Sight::box_of(Block const& block) const {
   return out;
 }
 
+double Sight::distance2(PatchBox const& box, BlockBox const& b) const {
+  if (!has_images_) return box.distance2(b.centre, b.half);
+  double out = 0;
+  for (int d = 0; d < 3; ++d) {
+    double const g = std::max(0.0, images_.apart(d, box.centre[d], b.centre[d]) - box.half[d] - b.half[d]);
+    out += g * g;
+  }
+  return out;
+}
+
 bool Sight::is_next_to_centre(int patch, BlockBox const& b) const {
   PatchBox point = patches_.box(patch);
   point.half = {0, 0, 0};
-  return point.distance2(b.centre, b.half) <= mostly_near2 * b.limit * b.limit;
+  return distance2(point, b) <= mostly_near2 * b.limit * b.limit;
 }
 
 /// Whether nodes in the block may be so wide that a patch opens them rather than leave them to its children.

@@ -51,7 +51,9 @@ class Sight {
     double merged;   ///< from where patches of less than that width leave blocks to their children
   };
   BlockBox box_of(Block const& block) const;
-  double distance2(int patch, BlockBox const& b) const { return patches_.box(patch).distance2(b.centre, b.half); }
+  /// From the nearest image of a box.
+  double distance2(PatchBox const& box, BlockBox const& b) const;
+  double distance2(int patch, BlockBox const& b) const { return distance2(patches_.box(patch), b); }
   bool is_next_to_centre(int patch, BlockBox const& b) const;
   bool is_wider(BlockBox const& b, PatchBox const& patch) const;
   bool opens_here(int patch, BlockBox const& b) const;
@@ -90,6 +92,8 @@ class Sight {
   Options options_;
   Lattice lattice_;
   Point shape_;
+  Images images_;
+  bool has_images_;
   Cell near_cells_;                ///< from a wall, of leaves that are summed
   std::vector<LevelReach> reach_;  ///< by level
 };

@@ -59,6 +59,18 @@ struct HarmonicPolynomials {
 
 }  // namespace
 
+Harmonics<double> reflected(Harmonics<double> const& moments, std::array<bool, 3> const& axes, double factor) {
+  Harmonics<double> out;
+  for (int l = 0; l <= order; ++l)
+    for (int m = 0; m <= l; ++m) {
+      bool const turns = (axes[0] && m % 2 == 1) != (axes[2] && (l + m) % 2 == 1);
+      double const sign = turns ? -factor : factor;
+      Complex<double> const& value = moments[harmonic_index(l, m)];
+      out[harmonic_index(l, m)] = {sign * value.re, axes[0] != axes[1] ? -sign * value.im : sign * value.im};
+    }
+  return out;
+}
+
 double degree_strength(Harmonics<double> const& moments, int l) {
   // Schwarz' inequality: sum over m = -l .. l of |S(l, m)|^2 / ((l - m)! (l + m)!) is r^(-2 l - 2).
   double largest = 0;  // moments may be so small or large that their squares are no doubles

@@ -94,6 +94,9 @@ Harmonics<T> translate_moments(Harmonics<T> const& moments, T const& x, T const&
   return out;
 }
 
+/// Moments of the charges reflected along some axes, about the reflected centre, times a factor.
+Harmonics<double> reflected(Harmonics<double> const& moments, std::array<bool, 3> const& axes, double factor);
+
 /// A: what the moments of degree l add to 4 pi times the potential at distance r is at most A / r^(l + 1).
 double degree_strength(Harmonics<double> const& moments, int l);
 

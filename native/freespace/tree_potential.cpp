@@ -15,6 +15,8 @@ constexpr double four_pi = 12.566370614359172954;
 constexpr double lattice_negligible = 64;  ///< cells from a charge where its lattice adds 6e-5 of its potential
 constexpr unsigned all_points = all_lanes;
 constexpr int lowest_order = 2;
+constexpr double acceptance_of_images =
+    0.25;  ///< as `Options::acceptance`, of blocks of hundreds of charges of one sign
 /// Up to where the charges of a node of level 0 are summed one by one, in units of the smallest spacing, from its
 /// centre.
 double near_distance(Point const& shape, Options const& options) {
@@ -28,7 +30,7 @@ double near_distance(Point const& shape, Options const& options) {
 /// Cells that the kernel tables must reach: from a node's charges to the ghosts that it is near to, and along long
 /// cells to the rest of a block of ghosts that is partly as near. Across them to the rest of a patch, which is
 /// interpolated where it is far enough for its width, and may stand out from its wall.
-Cell table_reach(Lattice const& lattice, int finest, Options const& options) {
+Cell table_reach(Lattice const& lattice, int finest, bool has_images, Options const& options) {
   Point const shape = lattice.shape();
   Cell const near = near_cells(lattice, options), widest = widest_blocks(shape);
   double wall = 0;
@@ -36,7 +38,9 @@ Cell table_reach(Lattice const& lattice, int finest, Options const& options) {
   double const patch = std::min(2 * wall, 2 / options.separation * near_distance(shape, options));
   Cell out;
   for (int d = 0; d < 3; ++d) {
-    double const inside_domain = std::ldexp(lattice.cells[d] + 2.0 * block_edge, finest);  // and nodes beside a wall
+    double const inside_domain =
+        has_images ? double(near[d])                                           // images lie outside
+                   : std::ldexp(lattice.cells[d] + 2.0 * block_edge, finest);  // and nodes beside a wall
     double const block = shape[d] > 2 ? 2 * block_edge : block_edge;
     double const interpolated = widest[d] > block_edge ? std::max(block, patch / shape[d]) : block;
     out[d] = int(std::ceil(std::min(double(near[d]), inside_domain) + interpolated)) + 1;
@@ -134,7 +138,7 @@ void add_lanes(Lanes const& value, double* to) {
 /// What the charges nearby make at the points of one patch.
 class TreePotential::NearPatch {
  public:
-  NearPatch(TreePotential const& potential, GhostPatch const& patch)
+  NearPatch(TreePotential const& potential, GhostPatch const& patch, Image const& image)
       : potential_(potential),
         patch_(patch),
         kernels_(potential.kernels_),
@@ -142,9 +146,9 @@ class TreePotential::NearPatch {
         axes_(plane_axes(normal_)) {
     for (int t : {0, 1}) {
       cells_[t] = chebyshev_points(patch.extent[t]);
-      for (int& cell : cells_[t]) cell += patch.first[t];
+      for (int& cell : cells_[t]) cell = image.cell(axes_[t], patch.first[t] + cell, patch.level);
     }
-    behind_ = patch.behind(potential.lattice_.cells[normal_] << patch.level);
+    behind_ = image.cell(normal_, patch.behind(potential.lattice_.cells[normal_] << patch.level), patch.level);
   }
 
   /// Add the charges of a node at the points that `masks` has.
@@ -163,7 +167,7 @@ class TreePotential::NearPatch {
       if (!any) continue;
       bool const all = kernels_.stride(table) == Cell{1, 1, 1};
       NodeCharges const& there = all ? charges.of(number)
-                                     : charges.of({number, table, patch_.face, patch_.layer, patch_.level},
+                                     : charges.of({number, table, normal_, behind_, patch_.level},
                                                   points_apart(kernels_.stride(table), node.level));
       grid(node.level, table).add(there, kernels_.at(table, node.level > patch_.level), served, scale, values);
     }
@@ -237,7 +241,8 @@ class TreePotential::NearPatch {
       LatticePlace const ghost = place_in_level(cell, patch_.level, level);
       return points.place(axis, ghost.point + ghost.shift);
     };
-    Nodes const nodes = nodes_between(place(patch_.first[t]), place(patch_.first[t] + patch_.extent[t] - 1));
+    auto const [first, last] = std::minmax_element(cells_[t].begin(), cells_[t].end());
+    Nodes const nodes = nodes_between(place(*first), place(*last));
     for (int cell : cells_[t]) out.push_back(stencil_of(nodes, place(cell)));
     return out;
   }
@@ -262,19 +267,19 @@ Cell near_cells(Lattice const& lattice, Options const& options) {
   return out;
 }
 
-TreePotential::TreePotential(Lattice const& lattice, int finest, Options const& options)
+TreePotential::TreePotential(Lattice const& lattice, int finest, bool has_images, Options const& options)
     : lattice_(lattice),
       finest_(finest),
       options_(options),
       shape_(lattice.shape()),
       longest_spacing_(longest_spacing(shape_)),
       widest_(widest_blocks(shape_)),
-      kernels_(shape_, options.operator_order, table_reach(lattice, finest, options)) {}
+      kernels_(shape_, options.operator_order, table_reach(lattice, finest, has_images, options)) {}
 
 /// Charge of a node over what as large a part of all has on average, rounded up to a power of two, so that rounding
 /// rarely chooses; at most one.
 double TreePotential::weakness(Octree const& tree, TreeNode const& node) const {
-  if (options_.of_weak <= options_.acceptance) return 1;
+  if (options_.of_weak <= options_.acceptance || node.copies > 0) return 1;
   TreeNode const& all = tree.nodes.front();
   auto const size = [&](TreeNode const& of) { return std::pow(of.radius + longest_spacing_, 3); };
   double const share = node.magnitude / all.magnitude * size(all) / size(node);
@@ -284,50 +289,84 @@ double TreePotential::weakness(Octree const& tree, TreeNode const& node) const {
 /// From where on a node is a multipole. The error of that is the power order + 1 of its radius over the distance, so
 /// nodes with less charge may be nearer.
 double TreePotential::far_limit(Octree const& tree, TreeNode const& node) const {
+  if (node.copies > 0)
+    return past_ties * std::max(options_.lattice_limit * longest_spacing_ * node.coarsest,
+                                node.radius / std::min(options_.acceptance, acceptance_of_images));
   double const least = options_.acceptance / options_.of_weak;
   double const factor = std::max(least, std::pow(weakness(tree, node), 1.0 / (order + 1)));
   return factor * freespace::far_limit(options_, node.radius, longest_spacing_ * node.coarsest);
 }
 
-std::vector<Interactions> TreePotential::interactions(Octree const& tree, std::vector<GhostPatch> const& patches,
-                                                      std::vector<char> const& is_own) const {
-  std::vector<Interactions> out(patches.size());
+std::vector<std::vector<Interactions>> TreePotential::interactions(Octree const& tree,
+                                                                   std::vector<GhostPatch> const& patches,
+                                                                   std::vector<char> const& is_own) const {
+  std::vector<std::vector<Interactions>> out(patches.size());
   if (tree.empty()) return out;
   std::vector<double> limits;
   for (TreeNode const& node : tree.nodes) limits.push_back(far_limit(tree, node));
-  std::vector<std::vector<int>> left(patches.size());  // to the children
-  std::vector<int> stack;
+  struct Visit {
+    int node, image;  ///< the latter by number
+  };
+  std::vector<Image> images;
+  std::vector<Visit> tops, stack;
+  auto const number = [&images](Image const& image) {
+    auto const known = std::find(images.begin(), images.end(), image);
+    if (known != images.end()) return int(known - images.begin());
+    return images.push_back(image), int(images.size()) - 1;
+  };
+  for (auto const& [node, image] : tree.tops) tops.push_back({node, number(image)});
+  std::vector<std::vector<Visit>> left(patches.size());  // to the children
   for (std::size_t p = patches.size(); p-- > 0;) {
     GhostPatch const& patch = patches[p];
-    PatchBox const box(lattice_.cells, shape_, patch);
-    double const separation = options_.separation * box.width;
-    if (patch.parent < 0)
-      stack.assign(1, 0);
-    else
-      stack = left[std::size_t(patch.parent)];
+    PatchBox const here(lattice_.cells, shape_, patch);
+    double const separation = options_.separation * here.width;
+    stack = patch.parent < 0 ? tops : left[std::size_t(patch.parent)];
+    PatchBox box = here;
+    int seen_by = -1, place = -1;  // the latter of what is seen by it
+    std::vector<int> places;       // by image
+    auto const found = [&]() -> Interactions& {
+      if (place < 0) {
+        if (int(places.size()) <= seen_by) places.resize(images.size(), -1);
+        place = places[std::size_t(seen_by)];
+        if (place < 0) {
+          place = places[std::size_t(seen_by)] = int(out[p].size());
+          out[p].push_back({images[std::size_t(seen_by)], {}, {}});
+        }
+      }
+      return out[p][std::size_t(place)];
+    };
     while (!stack.empty()) {
-      int const n = stack.back();
+      auto const [n, image] = stack.back();
       stack.pop_back();
       TreeNode const& node = tree.nodes[std::size_t(n)];
+      if (image != seen_by) {
+        box = here.seen_by(images[std::size_t(image)], shape_);
+        seen_by = image, place = -1;
+      }
       double const limit2 = limits[std::size_t(n)] * limits[std::size_t(n)];
       auto const width = summed_width(node);
       double const distance2 = to_centre2(box, node);
       bool const is_far = distance2 > limit2;
       bool const is_mostly_near = !is_far && between_centres2(box, node) < mostly_near2 * limit2;
       if (is_far && to_charges2(box, node) >= separation * separation) {
-        if (is_own[p]) out[p].far.push_back(multipole(tree, n, distance2));
+        if (is_own[p]) found().far.push_back(multipole(tree, n, distance2));
+      } else if (!is_far && node.copies > 0) {
+        for (int c = node.copies; c-- > 0;) {
+          Octree::Copy const& copy = tree.copies[std::size_t(node.first_copy + c)];
+          stack.push_back({copy.node, number(copy.image.after(images[std::size_t(image)]))});
+        }
       } else if (!is_far && is_summed(node, box)) {
-        if (is_own[p]) out[p].mixed.push_back(n);
+        if (is_own[p]) found().mixed.push_back(n);
       } else if (!is_far && node.leaf < 0 &&
                  (width ? *width > box.width : node.radius > box.radius || is_mostly_near)) {
         // What is closed on this rank has nothing that its own patches, here or below, are near to.
         if (is_own[p] && node.is_closed())
           throw std::logic_error("TreePotential: a node near a wall is not known on its rank");
-        for (int c = node.children; c-- > 0;) stack.push_back(node.first_child + c);
+        for (int c = node.children; c-- > 0;) stack.push_back({node.first_child + c, image});
       } else if (patch.is_block()) {
-        if (is_own[p]) out[p].mixed.push_back(n);
+        if (is_own[p]) found().mixed.push_back(n);
       } else {
-        left[p].push_back(n);
+        left[p].push_back({n, image});
       }
     }
   }
@@ -424,7 +463,7 @@ void TreePotential::add_far(Octree const& tree, std::vector<Interactions::Far> c
 
 /// The multipoles of nodes, or of parts of them, at the points that they are far from; the rest goes to `near`.
 void TreePotential::add_mixed(Octree const& tree, std::vector<int> const& nodes, PatchPoints const& points, int level,
-                              std::size_t patch, double* values, std::vector<NearRow>& near) const {
+                              std::size_t patch, std::size_t image, double* values, std::vector<NearRow>& near) const {
   struct Visit {
     int node;
     unsigned active;
@@ -456,7 +495,7 @@ void TreePotential::add_mixed(Octree const& tree, std::vector<int> const& nodes,
         unsigned const rest = active & ~far;
         if (!rest) continue;
         if (node.leaf >= 0 || is_summed(node, points.box)) {
-          near.push_back({patch, row, rest, n});
+          near.push_back({patch, image, row, rest, n});
           continue;
         }
         if (node.is_closed()) throw std::logic_error("TreePotential: a node near a wall is not known on its rank");
@@ -467,18 +506,37 @@ void TreePotential::add_mixed(Octree const& tree, std::vector<int> const& nodes,
   }
 }
 
-std::vector<double> TreePotential::at(Charges const& charges, std::vector<GhostPatch> const& patches,
-                                      std::vector<char> const& is_own) const {
+std::vector<double> TreePotential::at(Charges const& charges, Closing const& closing,
+                                      std::vector<GhostPatch> const& patches, std::vector<char> const& is_own) const {
   Octree const& tree = charges.tree;
   auto const found = interactions(tree, patches, is_own);
   std::vector<double> out(patches.size() * patch_values, 0.0);
   std::vector<NearRow> near;
+  std::array<double, patch_values> values;
+  auto const add = [&](std::size_t p, int sign) {
+    for (int n = 0; n < patch_values; ++n) out[p * patch_values + std::size_t(n)] += sign * values[std::size_t(n)];
+  };
   for (std::size_t p = 0; p < patches.size(); ++p) {
     if (!is_own[p]) continue;
+    for (std::size_t i = 0; i < found[p].size(); ++i) {
+      auto const& [image, far, mixed] = found[p][i];
+      PatchPoints const points(lattice_, patches[p], image);
+      values.fill(0);
+      add_far(tree, far, points, patches[p].level, values.data());
+      add_mixed(tree, mixed, points, patches[p].level, p, i, values.data(), near);
+      add(p, image.sign);
+    }
+    if (patches[p].parent >= 0 || closing.is_empty()) continue;
     PatchPoints const points(lattice_, patches[p]);
-    double* const values = out.data() + p * patch_values;
-    add_far(tree, found[p].far, points, patches[p].level, values);
-    add_mixed(tree, found[p].mixed, points, patches[p].level, p, values, near);
+    auto const axes = plane_axes(points.normal);
+    for (int n = 0; n < patch_values; ++n) {
+      Point place;
+      place[points.normal] = points.place;
+      for (int t = 0; t < 2; ++t)
+        place[axes[t]] = points.along[std::size_t(t)][std::size_t(t == 0 ? n % patch_points : n / patch_points)];
+      values[std::size_t(n)] = closing.at(place);
+    }
+    add(p, 1);
   }
   std::vector<int> nodes;
   for (NearRow const& row : near) nodes.push_back(row.node);
@@ -486,12 +544,16 @@ std::vector<double> TreePotential::at(Charges const& charges, std::vector<GhostP
   LeafCharges const leaves(tree, charges.own, charges.received, std::move(nodes), across);
   ChargesOfNodes of_nodes(tree, leaves, across);
   for (std::size_t n = 0; n < near.size();) {
-    std::size_t const p = near[n].patch;
+    auto const [p, i] = std::pair(near[n].patch, near[n].image);
     std::map<int, std::array<unsigned, patch_points>> masks;  // by node
-    for (; n < near.size() && near[n].patch == p; ++n) masks[near[n].node][std::size_t(near[n].row)] |= near[n].points;
-    NearPatch patch(*this, patches[p]);
+    for (; n < near.size() && near[n].patch == p && near[n].image == i; ++n)
+      masks[near[n].node][std::size_t(near[n].row)] |= near[n].points;
+    Image const& image = found[p][i].image;
+    NearPatch patch(*this, patches[p], image);
+    values.fill(0);
     for (auto const& [node, points] : masks)
-      patch.add(node, tree.nodes[std::size_t(node)], points, of_nodes, out.data() + p * patch_values);
+      patch.add(node, tree.nodes[std::size_t(node)], points, of_nodes, values.data());
+    add(p, image.sign);
   }
   kernels_.trim();
   return out;

@@ -7,6 +7,7 @@
 
 #include "freespace/acceptance.hpp"
 #include "freespace/ghost_patches.hpp"
+#include "freespace/images.hpp"
 #include "freespace/kernel_table.hpp"
 #include "freespace/lattice_green.hpp"
 #include "freespace/leaf_charges.hpp"
@@ -23,13 +24,14 @@ struct Charges {
   std::vector<LeafRecord> const& received;  ///< of other ranks
 };
 
-/// Which nodes of the tree count on a patch of ghosts.
+/// Which nodes of the tree count on a patch of ghosts, where an image maps it to.
 struct Interactions {
   struct Far {
     int node;
     int highest;      ///< order that its multipoles need
     bool on_lattice;  ///< whether the lattice, or the size of its cells, counts at this distance
   };
+  Image image;
   std::vector<Far> far;    ///< as multipoles at all points
   std::vector<int> mixed;  ///< too near to some of the points for that: charge by charge there
 };
@@ -42,23 +44,24 @@ struct OfCells {
 
 class TreePotential {
  public:
-  /// For charges of levels up to `finest`.
-  TreePotential(Lattice const& lattice, int finest, Options const& options);
+  /// For charges of levels up to `finest`, and images of them if there are any.
+  TreePotential(Lattice const& lattice, int finest, bool has_images, Options const& options);
   int finest() const { return finest_; }
 
-  /// For each patch that `is_own`; with what it takes from its parent all charge counts just once.
-  std::vector<Interactions> interactions(Octree const& tree, std::vector<GhostPatch> const& patches,
-                                         std::vector<char> const& is_own) const;
+  /// For each patch that `is_own`, by image; with what it takes from its parent all charge counts just once.
+  std::vector<std::vector<Interactions>> interactions(Octree const& tree, std::vector<GhostPatch> const& patches,
+                                                      std::vector<char> const& is_own) const;
 
   /// 4 pi times the potential that its interactions make at the 64 points of each patch that `is_own`, lengths in units
-  /// of the smallest spacing; a value depends on nothing but charge and its patch.
-  std::vector<double> at(Charges const& charges, std::vector<GhostPatch> const& patches,
+  /// of the smallest spacing; a value depends on nothing but charge and its patch. What closes a lattice counts on the
+  /// widest patches.
+  std::vector<double> at(Charges const& charges, Closing const& closing, std::vector<GhostPatch> const& patches,
                          std::vector<char> const& is_own) const;
 
  private:
   /// A node that is near to some of one row of points.
   struct NearRow {
-    std::size_t patch;
+    std::size_t patch, image;  ///< the latter by number among those of the patch
     int row;
     unsigned points;  ///< bit t: number t of the row
     int node;
@@ -73,7 +76,7 @@ class TreePotential {
   void add_far(Octree const& tree, std::vector<Interactions::Far> const& nodes, PatchPoints const& points, int level,
                double* values) const;
   void add_mixed(Octree const& tree, std::vector<int> const& nodes, PatchPoints const& points, int level,
-                 std::size_t patch, double* values, std::vector<NearRow>& near) const;
+                 std::size_t patch, std::size_t image, double* values, std::vector<NearRow>& near) const;
 
   Lattice lattice_;
   int finest_;

@@ -189,11 +189,16 @@ WallCounts count(WallPlan const& plan, Options const& options, std::vector<Charg
   if (!full.has_charge(all)) return out;
   OctreeBuilder builder(grids, 0);
   builder.add_found(all.grid, {full.record(all)});
-  TreePotential const potential(geometry.mesh.lattice, int(geometry.mesh.levels.size()) - 1, options);
-  for (Interactions const& of_patch : potential.interactions(builder.finish(nodes), plan.patches, plan.is_own)) {
-    out.far += count_of(of_patch.far);
-    out.near += count_of(of_patch.mixed);
-  }
+  Images const& images = geometry.mesh.images;
+  TreePotential const potential(geometry.mesh.lattice, int(geometry.mesh.levels.size()) - 1, !images.are_none(),
+                                options);
+  Octree tree = builder.finish(nodes, geometry.top);
+  add_images(tree, images, Which::all);
+  for (auto const& of_patch : potential.interactions(tree, plan.patches, plan.is_own))
+    for (Interactions const& seen : of_patch) {
+      out.far += count_of(seen.far);
+      out.near += count_of(seen.mixed);
+    }
   return out;
 }
 

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "freespace/ghost_patches.hpp"
+#include "freespace/images.hpp"
 #include "mesh/level.hpp"
 
 namespace amrpic::freespace {
@@ -16,6 +17,7 @@ struct WallMesh {
   std::array<bool, 6> open;  ///< by face, 2 * axis + side
   std::vector<std::shared_ptr<Level const>> levels;
   int layers = 1;  ///< of ghosts
+  Images images{};
 
   Level const& level(int l) const { return *levels[std::size_t(l)]; }
   int ranks() const { return levels.front()->ranks(); }

@@ -129,10 +129,6 @@ void check_domain(Domain const& domain, int max_grid_size, int blocking_factor) 
     if (first != second)
       throw HierarchyError("one face of axis " + std::string(1, "xyz"[d]) +
                            " is periodic and the other is not; make both periodic");
-    if (first && domain.has(Boundary::open))
-      throw HierarchyError(
-          "axis " + std::string(1, "xyz"[d]) +
-          " is periodic and another face is open; no method for that pair is built, so choose dirichlet or neumann");
   }
 }
 
@@ -318,6 +314,12 @@ std::shared_ptr<Hierarchy const> Hierarchy::stretched(Real3 const& factor) const
     out->domain_.upper[d] *= factor[d];
   }
   for (auto& level : out->levels_) level = level->stretched(factor);
+  return out;
+}
+
+std::shared_ptr<Hierarchy const> Hierarchy::opened(int axis) const {
+  auto out = std::make_shared<Hierarchy>(*this);
+  out->domain_.boundary[axis] = {Boundary::open, Boundary::open};
   return out;
 }
 

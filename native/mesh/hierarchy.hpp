@@ -41,6 +41,9 @@ class Hierarchy {
   /// The same boxes on the same ranks, in a space whose lengths are those of this one times `factor`.
   std::shared_ptr<Hierarchy const> stretched(Real3 const& factor) const;
 
+  /// The same with open faces across an axis.
+  std::shared_ptr<Hierarchy const> opened(int axis) const;
+
   /// The hierarchy of a virtual rank as another virtual rank of the same number has it. Local.
   std::shared_ptr<Hierarchy const> seen_by(int rank) const;
 

@@ -2,6 +2,7 @@
 
 #include <string>
 
+#include "freespace/image.hpp"
 #include "mesh/domain.hpp"
 #include "mesh/norm.hpp"
 #include "stencil/intergrid.hpp"
@@ -57,6 +58,7 @@ struct SolverOptions {
   Prolongation prolongation = Prolongation::trilinear;
   Real screening = 0;      ///< kappa of -Laplace phi + kappa^2 phi = rho / eps0, 1/m
   Real3 stretch{1, 1, 1};  ///< factors on the lengths: (1, 1, gamma) is the frame of a bunch that moves along z
+  freespace::Across across;  ///< walls that reflect charge which moves
   int coarse_levels = as_many_as_possible;  ///< multigrid levels below the base
   BottomKind bottom = BottomKind::gmres;    ///< works for all matrices, those of the base included
   BottomPreconditioner bottom_preconditioner = BottomPreconditioner::smoothed_aggregation;

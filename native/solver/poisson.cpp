@@ -31,12 +31,13 @@ std::string scientific(Real value) {
 PoissonSolver::PoissonSolver(std::shared_ptr<Hierarchy const> hierarchy, SolverOptions const& options,
                              Reusable const& reusable)
     : given_(std::move(hierarchy)),
-      hierarchy_(given_->stretched(options.stretch)),
+      opened_(options.across.axis < 0 ? given_ : given_->opened(options.across.axis)),
+      hierarchy_(opened_->stretched(options.stretch)),
       options_(options),
       reusable_(reusable) {
   for (int l = 0; l < hierarchy_->level_count(); ++l)
     walls_.push_back(find_walls(hierarchy_->domain(), hierarchy_->level(l)));
-  Problem const problem{given_, hierarchy_, options_, walls_};
+  Problem const problem{opened_, hierarchy_, options_, walls_};
   if (options_.backend == BackendKind::crs)
     backend_ = make_crs_backend(problem, reusable_);
   else if (options_.backend == BackendKind::kokkos)
@@ -49,9 +50,13 @@ PoissonSolver::PoissonSolver(std::shared_ptr<Hierarchy const> hierarchy, SolverO
 void PoissonSolver::plan_open_walls() {
   freespace::Options const of_order = freespace::Options::of_order(options_.order);
   int const layers = of_order.layers();
-  freespace::WallMesh const mesh = freespace::wall_mesh(*hierarchy_, layers);
+  freespace::Across across = options_.across;
+  if (across.axis >= 0)
+    for (Real& place : across.place) place *= options_.stretch[across.axis];
+  freespace::WallMesh const mesh = freespace::wall_mesh(*hierarchy_, layers, across);
   if (!reusable_.free_space)
-    reusable_.free_space = std::make_shared<freespace::FreeSpace>(hierarchy_->comm(), mesh.lattice, of_order);
+    reusable_.free_space =
+        std::make_shared<freespace::FreeSpace>(hierarchy_->comm(), mesh.lattice, !mesh.images.are_none(), of_order);
   wall_plan_ = reusable_.free_space->plan(mesh);
   for (int l = 0; l < hierarchy_->level_count(); ++l) {
     if (layers > 1) walls_[l].second.assign(walls_[l].faces.size(), 0.0);
@@ -65,15 +70,16 @@ void PoissonSolver::plan_open_walls() {
   }
 }
 
-void PoissonSolver::set_open_walls(Field const& rho) {
-  auto charges = freespace::charges_of(rho, *hierarchy_, 1 / vacuum_permittivity);
+void PoissonSolver::set_open_walls(Field const& rho, freespace::Which which) {
+  auto charges =
+      freespace::charges_of(rho, *hierarchy_, 1 / vacuum_permittivity, freespace::Options::of_order(options_.order));
   auto box = charges.begin();
   for (auto& level : backend_->beside_coarse_faces(rho))
     for (auto& of_box : level) {
       for (auto& [cells, density] : of_box) box->added.push_back({{cells.lower, cells.upper}, std::move(density)});
       ++box;
     }
-  auto const values = reusable_.free_space->walls(*wall_plan_, charges);
+  auto const values = reusable_.free_space->walls(*wall_plan_, charges, which);
   for (auto const& [level, face, places] : open_faces_) {
     walls_[level].datum[face] = values[places[0]];
     if (options_.order == 4) walls_[level].second[face] = values[places[1]];
@@ -291,13 +297,18 @@ bool PoissonSolver::below_discretisation(SolveReport& report, Real right_hand_si
   return factor < 0.9 && latest_correction_ * factor / (1 - factor) <= 0.1 * mesh.error;
 }
 
-SolveReport PoissonSolver::solve(Field const& rho, Field& phi, bool from_zero, MeshError const& known, Real deposited) {
+SolveReport PoissonSolver::solve(Field const& rho, Field& phi, bool from_zero, MeshError const& known, Real deposited,
+                                 bool images) {
   SolveReport report;
   report.mesh_error = known;
   stopwatch_.reset();
   backend_->stopwatch().reset();
-  if (wall_plan_) stopwatch_.time("open boundary", [&] { set_open_walls(rho); });
-  backend_->set_right_hand_side(rho);
+  using freespace::Which;
+  Which const which = options_.across.axis < 0 ? Which::all : images ? Which::against : Which::with;
+  if (wall_plan_) stopwatch_.time("open boundary", [&] { set_open_walls(rho, which); });
+  std::optional<Field> nothing;
+  if (images) nothing.emplace(rho.share_hierarchy());
+  backend_->set_right_hand_side(images ? *nothing : rho);
   Removed removed{0, 0};
   bool const leaves_mean = is_mean_left_free(hierarchy_->level(0), hierarchy_->domain().boundary, shift_of(options_));
   if (leaves_mean) {

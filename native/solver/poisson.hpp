@@ -1,6 +1,7 @@
 #pragma once
 
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -52,8 +53,10 @@ class PoissonSolver {
   /// Fill phi (V) from rho (C/m^3), starting from what phi holds; `from_zero`: nothing but zeros. Covered cells of phi
   /// hold the mean of their children. `known`: by the solve that found the first guess, on the same mesh. `deposited`:
   /// sum of the magnitudes of the charges whose density rho is, C. Throws SolverError for a charge that no potential
-  /// can balance. Collective.
-  SolveReport solve(Field const& rho, Field& phi, bool from_zero, MeshError const& known = {}, Real deposited = 0);
+  /// can balance. With options.across, `images` asks for the potential of the images that move against the charge
+  /// alone, else it is that of the charge and of the images that move with it. Collective.
+  SolveReport solve(Field const& rho, Field& phi, bool from_zero, MeshError const& known = {}, Real deposited = 0,
+                    bool images = false);
 
   /// E, -(1/s_d^2) d phi/dx_d (V/m); walls count with the data of the latest solve. The potential must stay as it is.
   /// Collective.
@@ -77,7 +80,7 @@ class PoissonSolver {
 
  private:
   void plan_open_walls();
-  void set_open_walls(Field const& rho);
+  void set_open_walls(Field const& rho, freespace::Which which);
   struct Removed {
     Real mean;      ///< of f
     Real rounding;  ///< how large what is left may be by the rounding of what cancelled in it alone
@@ -94,6 +97,7 @@ class PoissonSolver {
   bool below_discretisation(SolveReport& report, Real right_hand_side);
 
   std::shared_ptr<Hierarchy const> given_;
+  std::shared_ptr<Hierarchy const> opened_;     ///< where walls lie across the motion of charge
   std::shared_ptr<Hierarchy const> hierarchy_;  ///< the given one in stretched coordinates
   SolverOptions options_;
   Reusable reusable_;

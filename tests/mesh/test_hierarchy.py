@@ -48,10 +48,6 @@ def test_boxes_that_cannot_be_are_refused_by_name(levels, complaint):
         ({"base": np.array([[0, 0, 0, 15, 15, 7]])}, "given for level 0 have 2048 of the domain's 4096 cells"),
         ({"base": np.array([[0, 0, 0, 15, 15, 15], [0, 0, 0, 7, 7, 7]])}, "of level 0 overlaps"),
         (
-            {"domain": amrpic.Domain((0, 0, 0), (1, 1, 1), (16,) * 3, {"x": "periodic"})},
-            "axis x is periodic and another face is open",
-        ),
-        (
             {"domain": amrpic.Domain((0, 0, 0), (1, 1, 1), (16,) * 3, {"x": ("periodic", "open")})},
             "one face of axis x is periodic and the other is not",
         ),

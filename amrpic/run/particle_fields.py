@@ -20,7 +20,7 @@ from ..stages.poisson import SolveReport
 from ..stages.regrid import carry_over
 from ..stages.tag import count
 from .plan import Plan
-from .solution import Solution, superposed
+from .solution import Part, Solution, superposed
 
 BALANCED = 1e-10  # share of the charge by which that of both signs may differ, as in the solver
 
@@ -68,7 +68,8 @@ class ParticleFields:
         plan.go_without_compensation()
         self._require_balance()
         guesses = self._guesses(known, frames), self._guesses(None if known is None else known.images, frames.images)
-        parts, images = [], []
+        parts: list[Part] = []
+        images: list[Part] = []
         for frame, part in zip(frames.members, frames.parts(self.particles), strict=True):
             with plan.clock("deposit"):
                 rho = deposit(part, self.hierarchy, plan.clouds)
@@ -89,13 +90,12 @@ class ParticleFields:
         plan.compensate(efield, rho, frame)
         images, reflected = None, self.frames.images
         if reflected is not None:
-            before = None if known is None else known.images
-            last = self._last_report(before, frame.reversed)
-            of_images = self._solved(rho, self._guesses(before, reflected)[0], frame, image=True, last=last)
+            known_images = None if known is None else known.images
+            last = self._last_report(known_images, frame.reversed)
+            of_images = self._solved(rho, self._guesses(known_images, reflected)[0], frame, image=True, last=last)
             images = Solution(rho, *of_images, reflected)
         before = self._before if plan.scene.extrapolates_potential else None
-        with plan.clock("solve"):
-            walls = plan.walls(self.hierarchy, self.frames)
+        walls = plan.walls(self.hierarchy, self.frames)
         return Solution(rho, phi, efield, report, self.frames, before=before, walls=walls, images=images)
 
     def _solved(

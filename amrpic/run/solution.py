@@ -15,6 +15,8 @@ from ..particles.frame import Frame
 from ..stages.poisson import SolveReport
 from ..units import SPEED_OF_LIGHT
 
+Part = tuple[Frame, Field, VectorField, SolveReport]  # φ and E of a bin or of its images, solved for in a frame
+
 
 @dataclass(frozen=True, eq=False)
 class Solution:
@@ -97,7 +99,7 @@ class Solution:
 
 def superposed(
     rho: Field,
-    parts: Sequence[tuple[Frame, Field, VectorField, SolveReport]],
+    parts: Sequence[Part],
     frames: Frames,
     walls: tuple[Field, VectorField] | None = None,
 ) -> Solution:

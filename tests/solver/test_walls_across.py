@@ -54,7 +54,7 @@ def solved(
 def found(fields: list[amrpic.VectorField], beta: float, level: int = 0) -> Fields:
     """E = E₊ + E₋ and B = β × (E₊ - E₋) / c in this rank's cells of a level."""
     parts = [np.stack([part.array(level) for part in field.components], axis=1) for field in fields]
-    return sum(parts), np.cross((0, 0, beta), parts[0] - sum(parts[1:])) / C
+    return np.sum(parts, axis=0), np.cross((0, 0, beta), parts[0] - np.sum(parts[1:], axis=0)) / C
 
 
 def centres(hierarchy: amrpic.Hierarchy, level: int = 0) -> np.ndarray:

@@ -222,6 +222,19 @@ def test_without_planes_the_faces_are_open() -> None:
     assert np.abs(closed.array(0) - expected.array(0)).max() < 1e-7 * expected.max_abs()
 
 
+@pytest.mark.parametrize("options", [{"backend": "crs"}, {"backend": "kokkos"}, {"order": 4}])
+def test_images_are_the_same_on_all_backends_and_nearly_in_fourth_order(options: dict[str, Any]) -> None:
+    """Of a plane half a cell outside the mesh, on two levels."""
+    bunch, moved = ball(5.0, 0.5), 1 / 32
+    hierarchy = mesh(16, 5.0, first=moved, levels=[[((8, 8, 0), (23, 23, 15))]])
+    mirror = Mirror.of_faces(hierarchy.domain, 2, moved / 5)
+    plain, other = (solved(hierarchy, bunch, mirror, **{"tolerance": 1e-10, **more})[0] for more in ({}, options))
+    for one, two in zip(plain, other, strict=True):
+        for level in range(2):
+            off = np.abs(one.array(level) - two.as_points().array(level)).max()
+            assert off < (1e-7 if "backend" in options else 0.02) * one.max_abs()
+
+
 def test_mirrors_that_cannot_be_are_refused() -> None:
     hierarchy = mesh(16, 1.0)
     rho = amrpic.Field(hierarchy).fill(ball(1.0 + 1e-9).density)

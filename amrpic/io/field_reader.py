@@ -165,8 +165,10 @@ class CheckpointDump(Dump):
     def _values(self, name: str, level: int, box: int | np.integer[Any]) -> Array:
         if self.is_vector(name):
             if name == "B" and "bfield_x" not in self._stored:  # that of charge in one frame
-                of_charge = "_of_charge" if "phi_of_charge" in self._stored else ""
-                return np.cross(self._beta, self._vector("efield", of_charge, level, box)) / SPEED_OF_LIGHT
+                electric = self._vector("efield", "_of_charge" if "phi_of_charge" in self._stored else "", level, box)
+                if "phi_of_images" in self._stored:  # images move against it
+                    electric = electric - self._vector("efield", "_of_images", level, box)
+                return np.cross(self._beta, electric) / SPEED_OF_LIGHT
             return self._vector("efield" if name == "E" else "bfield", "", level, box)
         cells, start = self._size(level, box), int(self.levels[level].starts[box])
         rows = self._parts[self._part_of[level][box]][f"level{level}/{name}"]

@@ -13,6 +13,7 @@ from mpi4py import MPI
 
 from ..errors import InputError
 from ..mesh.domain import AXES, Domain
+from ..mesh.mirror import SIGNS, Mirror
 from ..mesh.window import vector
 from .arrays import empty_columns
 from .frame import LABORATORY, SLOW, STATIC, Frame
@@ -73,11 +74,28 @@ class Frames:
     turn: tuple[tuple[float, ...], ...] | None = field(
         default=None, compare=False
     )  # matrix that turns momenta, which lag places, along the axes of a mesh that turns as they would; None: it does not
+    mirror: Mirror | None = field(default=None, compare=False)  # of the walls across the motion
+    leaves: bool = field(default=False, compare=False)  # whether the mesh goes on from the wall in which it mirrors
 
     @property
     def only(self) -> Frame | None:
         """The frame, if there is one."""
         return self.members[0] if len(self.members) == 1 else None
+
+    def mirror_of(self, frame: Frame) -> Mirror | None:
+        """Return the mirror by which the field of a member is solved for: of slow ones, walls at the mesh do as they are."""
+        return self.mirror if self.leaves or frame.is_fast else None
+
+    def reflects(self, frame: Frame) -> bool:
+        """Whether the charge of a member has images that move against it."""
+        mirror = self.mirror_of(frame)
+        return mirror is not None and mirror.reflects
+
+    @property
+    def images(self) -> Frames | None:
+        """The frames of the images that move against their charge; None without any."""
+        members = tuple(frame.reversed for frame in self.members if self.reflects(frame))
+        return Frames(members, self.axis) if members else None
 
     def parts(self, particles: Particles) -> Iterator[Particles]:
         """Yield for each member the particles, with the weight that is its."""
@@ -125,7 +143,7 @@ def frames_of(
     """Return the frames in which to solve for the field of the particles. Collective; InputError on all ranks.
 
     `choice`: "lab"; "rest", each part in the frame in which its charge rests in the mean; or "auto", the laboratory for slow
-    parts, and below β² = 0.01 for those that move along no mesh axis or towards walls. `bins`: so many frames at most, None: as
+    parts, and below β² = 0.01 for those that move along no mesh axis or across walls. `bins`: so many frames at most, None: as
     many as the motion of the charge asks for. Parts are those of `last`, the frames of the step before, until the motion that
     is left in these has changed by the factor `CHANGE` since they were chosen. So they follow from the motion, and not from
     the number of steps.
@@ -225,7 +243,7 @@ def _off_axis(flow: Flow, axis: int) -> float:
 
 
 def _walls(domain: Domain, axis: int) -> list[str]:
-    return [kind for kind in domain.boundary[axis] if kind not in ("open", "periodic")]
+    return [kind for kind in domain.boundary[axis] if kind in SIGNS]
 
 
 def _require_along(
@@ -236,7 +254,8 @@ def _require_along(
     divided: tuple[tuple[float, ...], list[Part]],
     flows: Sequence[Flow],
 ) -> None:
-    """Raise InputError on all ranks for fast charge that moves towards walls, or off the axis by more than chance.
+    """Raise InputError on all ranks for fast charge that moves off the axis by more than chance, or between walls across that
+    leave its current no way round.
 
     All parts that move the same way are judged together.
     """
@@ -245,10 +264,12 @@ def _require_along(
         if not fast:
             continue
         speed = max(abs(flows[n].beta[axis]) for n in fast)
-        if walls := _walls(domain, axis):
+        sides = {kind for other in range(3) if other != axis for kind in domain.boundary[other]}
+        if (walls := _walls(domain, axis)) and sides <= {"neumann", "periodic"}:
             raise InputError(
-                f"a face across the motion along {AXES[axis]} is {walls[0]}, which has no field at rest with particles of "
-                f'{speed:.3g} c; make both faces of {AXES[axis]} "open" or "periodic"'
+                f"a face across the motion along {AXES[axis]} is {walls[0]} and all sides are {' or '.join(sorted(sides))}, "
+                f"round which particles of {speed:.3g} c have no magnetic field for their current; make a side "
+                f'"open" or "dirichlet", or both faces of {AXES[axis]} "open" or "periodic"'
             )
         along = sum(flows[n].charge * abs(flows[n].beta[axis]) for n in fast)
         across = [np.delete(flows[n].charge * flows[n].beta, axis) for n in fast]

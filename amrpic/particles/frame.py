@@ -38,5 +38,15 @@ class Frame:
         out[self.axis] = self.gamma
         return (out[0], out[1], out[2])
 
+    @property
+    def is_fast(self) -> bool:
+        """Whether its magnetic field must not be left out."""
+        return max(map(abs, self.beta)) ** 2 > SLOW
+
+    @property
+    def reversed(self) -> Frame:
+        """The frame of images in a wall across the axis, which move against their charge."""
+        return Frame(self.axis, -self.momentum)
+
 
 LABORATORY = Frame()

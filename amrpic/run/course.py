@@ -52,6 +52,8 @@ class Course:
     reference: Reference | None = None
     window: Window = AT_REST
     goes: str = "nowhere"  # with the reference particle: "x", "y" or "z" along that axis, "turning" wherever it goes
+    stride: float = 0.0  # m by which it goes along an axis: a wall left behind stays on the lattice of the mesh; 0: any
+    start: float = 0.0  # place of the reference particle along that axis where the window is at rest, m
 
     @property
     def path(self) -> float:
@@ -77,9 +79,14 @@ class Course:
         if (axis := scene.window_axis) is None:
             return cls(reference)
         if not all(face == "open" for pair in scene.domain.boundary.values() for face in pair):
-            return cls(reference, goes=AXES[axis])
+            return cls(reference, goes=AXES[axis], start=reference.position[axis]).on_base_of(scene)
         window = _turned(AT_REST, reference, np.eye(3)[axis] * reference.momentum[axis], reference)
         return cls(reference, window, goes="turning")
+
+    def on_base_of(self, scene: Scene) -> Course:
+        """Return the course with a window that goes by the base cells of a scene, if it leaves a wall behind."""
+        axis = scene.axis_of_wall_left
+        return self if axis is None else replace(self, stride=float(scene.domain.value.spacing[axis]))
 
     def after(self, dt: float, time: float, external: ExternalFields, pusher: str) -> Course:
         """Return the course `dt` s later than `time` s, in fields of elements in the laboratory."""
@@ -91,8 +98,11 @@ class Course:
             window = _turned(window, now, np.array(now.momentum), then)
         elif self.goes in AXES:
             along = [axis == self.goes for axis in AXES]
-            way = np.subtract(then.position, now.position)
-            window = window.at(window.origin + np.where(along, way, 0.0))
+            if self.stride > 0:
+                origin = self.stride * np.round(np.subtract(then.position, self.start) / self.stride)
+            else:
+                origin = window.origin + np.subtract(then.position, now.position)
+            window = window.at(np.where(along, origin, 0.0))
         return replace(self, reference=then, window=window)
 
     def to_dict(self) -> dict[str, Any]:
@@ -106,7 +116,8 @@ class Course:
         if reference is not None:
             vectors = {key: tuple(reference[key]) for key in ("position", "momentum")}
             reference = Reference(**{**reference, **vectors})
-        return cls(reference, window_of(values["window"]), values["goes"])
+        more = {key: values[key] for key in ("stride", "start") if key in values}
+        return cls(reference, window_of(values["window"]), values["goes"], **more)
 
 
 def _turned(window: Window, now: Reference, direction: np.ndarray, then: Reference) -> Window:

@@ -89,6 +89,9 @@ def felt(solution: Solution, particles: Particles, clouds: Clouds) -> tuple[np.n
         magnetic = np.cross(solution.beta, electric) / SPEED_OF_LIGHT
     if solution.walls is not None:
         electric += gather(solution.walls[1], particles, clouds)
+    if solution.images is not None:
+        of_images = felt(solution.images, particles, clouds)
+        electric, magnetic = electric + of_images[0], magnetic + of_images[1]
     return electric, magnetic
 
 
@@ -110,6 +113,11 @@ def _push(
         electric = _sum(electric, gather(solution.walls[1], particles, plan.clouds))
     if solution.magnetic is not None:
         magnetic = _sum(magnetic, gather(solution.magnetic, particles, plan.clouds))
+    if solution.images is not None:
+        of_images = felt(solution.images, particles, plan.clouds)
+        electric = _sum(electric, of_images[0])
+        if solution.images.frames.only != LABORATORY:
+            magnetic = _sum(magnetic, of_images[1])
     return push(
         solution.efield,
         particles,

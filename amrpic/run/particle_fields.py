@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
+from typing import Any
 
 from ..errors import SolverError
 from ..mesh.field import Field, VectorField
@@ -18,7 +20,7 @@ from ..stages.poisson import SolveReport
 from ..stages.regrid import carry_over
 from ..stages.tag import count
 from .plan import Plan
-from .solution import Solution, superposed
+from .solution import Part, Solution, superposed
 
 BALANCED = 1e-10  # share of the charge by which that of both signs may differ, as in the solver
 
@@ -59,31 +61,59 @@ class ParticleFields:
     @cached_property
     def solution(self) -> Solution:
         """What is solved for of the particles, from the potentials that are known. Collective; SolverError if a solve fails."""
-        plan, frames = self.plan, self.frames
+        plan, frames, known = self.plan, self.frames, self.known
         plan.keep_solvers(frames)
         if frames.only != LABORATORY:
             self._require_balance()
         if (only := frames.only) is not None:
-            rho, guess = self.rho, self.guess
-            with plan.clock("solve"):
-                phi, report = plan.solve(rho, guess, only, last=self._last_report(only), deposited=self._deposited)
-                efield = plan.poisson(self.hierarchy, only).deferred_field(phi, covered=plan.clouds.covered)
-                plan.compensate(efield, rho, only)
-            before = self._before if plan.scene.extrapolates_potential else None
-            return Solution(rho, phi, efield, report, frames, before=before, walls=plan.walls(self.hierarchy, frames))
+            return self._of_one_frame(only)
         plan.go_without_compensation()
-        known = self.known.parts if self.known is not None else ()
-        guesses = [self._carried(part) for part in known] if len(known) == len(frames.members) else None
-        parts = []
-        for number, (frame, part) in enumerate(zip(frames.members, frames.parts(self.particles), strict=True)):
+        guesses = self._guesses(known, frames), self._guesses(None if known is None else known.images, frames.images)
+        parts: list[Part] = []
+        images: list[Part] = []
+        for frame, part in zip(frames.members, frames.parts(self.particles), strict=True):
             with plan.clock("deposit"):
                 rho = deposit(part, self.hierarchy, plan.clouds)
-            with plan.clock("solve"):
-                phi, report = plan.solve(rho, guesses[number] if guesses else None, frame, part=True)
-                efield = plan.poisson(self.hierarchy, frame, part=True).deferred_field(phi, covered=plan.clouds.covered)
-            parts.append((frame, phi, efield, report))
+            parts.append((frame, *self._solved(rho, guesses[0][len(parts)], frame, part=True)))
+            if frames.reflects(frame):
+                of_images = self._solved(rho, guesses[1][len(images)], frame, part=True, image=True)
+                images.append((frame.reversed, *of_images))
         with plan.clock("solve"):
-            return superposed(self.rho, parts, frames, plan.walls(self.hierarchy, frames))
+            found = superposed(self.rho, parts, frames, plan.walls(self.hierarchy, frames))
+            reflected = frames.images
+            return found if reflected is None else replace(found, images=superposed(self.rho, images, reflected))
+
+    def _of_one_frame(self, frame: Frame) -> Solution:
+        """Return what is solved for where all charge has one frame."""
+        plan, rho, known, deposited = self.plan, self.rho, self.known, self._deposited
+        guess, last = self.guess, self._last_report(known, frame)
+        phi, efield, report = self._solved(rho, guess, frame, last=last, deposited=deposited)
+        plan.compensate(efield, rho, frame)
+        images, reflected = None, self.frames.images
+        if reflected is not None:
+            known_images = None if known is None else known.images
+            last = self._last_report(known_images, frame.reversed)
+            of_images = self._solved(rho, self._guesses(known_images, reflected)[0], frame, image=True, last=last)
+            images = Solution(rho, *of_images, reflected)
+        before = self._before if plan.scene.extrapolates_potential else None
+        walls = plan.walls(self.hierarchy, self.frames)
+        return Solution(rho, phi, efield, report, self.frames, before=before, walls=walls, images=images)
+
+    def _solved(
+        self, rho: Field, guess: Field | None, frame: Frame, **of_solve: Any
+    ) -> tuple[Field, VectorField, SolveReport]:
+        """Return φ and E of a density that rests in a frame, or of its images, and how the solve went."""
+        plan, mirror, part = self.plan, self.frames.mirror_of(frame), of_solve.get("part", False)
+        with plan.clock("solve"):
+            phi, report = plan.solve(rho, guess, frame, mirror=mirror, **of_solve)
+            solver = plan.poisson(self.hierarchy, frame, part, mirror)
+            return phi, solver.deferred_field(phi, covered=plan.clouds.covered), report
+
+    def _guesses(self, known: Solution | None, frames: Frames | None) -> list[Field | None]:
+        """Return a potential to start the solve of each part from, as far as they are known."""
+        count = 0 if frames is None else len(frames.members)
+        parts = () if known is None else known.parts or (known.phi,)
+        return [self._carried(part) for part in parts] if len(parts) == count else [None] * count
 
     @cached_property
     def _deposited(self) -> float:
@@ -106,7 +136,7 @@ class ParticleFields:
         """Potential, V, with that of what walls hold."""
         if self.known is None or self._before is None:
             return self.solution.potential
-        return self._before if self.known.walls is None else self._carried(self.known.potential)
+        return self._before if self.known.potential is self.known.phi else self._carried(self.known.potential)
 
     @cached_property
     def efield(self) -> VectorField:
@@ -134,9 +164,8 @@ class ParticleFields:
         with self.plan.clock("regrid"):
             return self._before
 
-    def _last_report(self, frame: Frame) -> SolveReport | None:
+    def _last_report(self, known: Solution | None, frame: Frame) -> SolveReport | None:
         """Return how the solve before went, if it was of the same equations."""
-        known = self.known
         same = known is not None and known.phi.hierarchy is self.hierarchy and known.frames.only == frame
         return known.report if known is not None and same else None
 

@@ -14,7 +14,8 @@ from ..errors import InputError, SolverError
 from ..external import ExternalFields, Maps, read_maps
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
-from ..mesh.window import vector
+from ..mesh.mirror import Mirror
+from ..mesh.window import AT_REST, Window, vector
 from ..parallel import from_rank_0, own
 from ..particles.clouds import EQUAL_PARTICLES, PAYING, Clouds, compensation_pays, matched_pays
 from ..particles.energy_bins import ONE_FRAME, Frames, frames_of
@@ -30,6 +31,7 @@ from ..stages.gather import compensate
 from ..stages.poisson import PoissonSolver, SolveReport
 from .clock import Clock
 from .field_functions import FieldFunction, FieldFunctions
+from .images import mirrored
 
 FEW = 0.1  # share of the charge of a run that has no say in the frame any more where the frame of the rest does not fit it
 LARGE = 0.01  # estimated error of the self-field's force that draws a remark
@@ -73,15 +75,26 @@ class Plan:
         last: Frames = ONE_FRAME,
         lost: Particles | None = None,
         turn: np.ndarray | None = None,
+        window: Window = AT_REST,
     ) -> Frames:
         """Return the frames in which to solve for the field of particles that move. Collective; InputError on all ranks.
 
         `last` are those of the step before, whose energy bins stay while they fit. Where no frame fits them, a single particle
-        and the last few of which the others are `lost` keep them. `turn`: see `Frames`.
+        and the last few of which the others are `lost` keep them. `turn`: see `Frames`. `window`: where the mesh is, and so the
+        walls that it leaves.
         """
-        motion = self.scene.motion
-        if not isinstance(motion, Leapfrog):
+        if not isinstance(self.scene.motion, Leapfrog):
             return ONE_FRAME
+        return mirrored(self._frames(self.scene.motion, particles, last, lost, turn), last, self.scene, window)
+
+    def _frames(
+        self,
+        motion: Leapfrog,
+        particles: Particles,
+        last: Frames,
+        lost: Particles | None,
+        turn: np.ndarray | None,
+    ) -> Frames:
         bins = None if motion.energy_bins == "auto" else motion.energy_bins
         last = replace(last, turn=None if turn is None else tuple(map(vector, turn)))
         try:
@@ -138,7 +151,9 @@ class Plan:
             return "higuera-cary"
         return motion.pusher
 
-    def poisson(self, hierarchy: Hierarchy, frame: Frame = LABORATORY, part: bool = False) -> PoissonSolver:
+    def poisson(
+        self, hierarchy: Hierarchy, frame: Frame = LABORATORY, part: bool = False, mirror: Mirror | None = None
+    ) -> PoissonSolver:
         """Return the solver of a hierarchy in a frame, set up at the first call. Collective.
 
         That of a part of the charge leaves the mean of it out where no wall fixes φ: those of all parts cancel.
@@ -147,16 +162,18 @@ class Plan:
         if frame != LABORATORY:
             options = options.model_copy(update={"stretch": frame.stretch})
         solver = self._solvers.get((frame, part))
-        if solver is not None and solver.hierarchy is hierarchy:
+        if solver is not None and solver.hierarchy is hierarchy and solver.mirror == mirror:
             return solver
         kept = solver.base_setup if solver is not None and options.reuse else None
         # the old operators go before the new ones come
         solver = None
+        self._solvers.pop((frame, part), None)
         self._solvers = {of: made for of, made in self._solvers.items() if made.hierarchy is hierarchy}
         self._solvers[frame, part] = PoissonSolver(
             hierarchy,
             options=options,
             background="neutralizing" if part else self._background,
+            mirror=mirror,
             reuse=kept,
         )
         return self._solvers[frame, part]
@@ -183,20 +200,24 @@ class Plan:
         part: bool = False,
         last: SolveReport | None = None,
         deposited: float = 0.0,
+        mirror: Mirror | None = None,
+        image: bool = False,
     ) -> tuple[Field, SolveReport]:
         """Return the potential of a charge density and how the solve went. Collective; SolverError if it does not converge.
 
         It is that of the laboratory. What the walls hold counts in the laboratory's frame alone, and not for a `part` of the
         charge. `last`: of the solve in this frame and on this hierarchy that found the guess. `deposited`: Σ |w q|, C.
+        `mirror`, `image`: see `PoissonSolver`.
         """
         at_rest = frame == LABORATORY and not part
-        phi, report = self.poisson(rho.hierarchy, frame, part).solve(
+        phi, report = self.poisson(rho.hierarchy, frame, part, mirror).solve(
             rho,
             guess=guess,
             boundary_values=self._potential if at_rest else None,
             boundary_flux=self._slope if at_rest else None,
             last=last,
             deposited=deposited,
+            image=image,
         )
         self._solves.append(report)
         self._require_converged(report)

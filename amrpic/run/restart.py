@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -18,9 +18,10 @@ from ..io.checkpoint_reader import read, read_manifest
 from ..io.checkpoint_writer import Snapshot
 from ..io.provenance import Provenance
 from ..io.writer_ranks import Writers
-from ..mesh.domain import AXES, FACES, Domain
+from ..mesh.domain import FACES, Domain
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
+from ..mesh.mirror import Mirror
 from ..mesh.window import Window, vector
 from ..particles.arrays import repeated
 from ..particles.energy_bins import Charge, Frames
@@ -40,6 +41,7 @@ from ..stages.regrid import carry_over
 from .adapt import follow, make_base
 from .course import Course
 from .field_functions import FieldFunction
+from .images import mirrored
 from .limits import require_room
 from .particle_fields import ParticleFields
 from .plan import Plan
@@ -50,7 +52,9 @@ from .step import state_of
 from .time_step import settle_time_step
 
 FIELDS = ("rho", "phi", "efield_x", "efield_y", "efield_z")
-OF_CHARGE = "_of_charge"  # behind a name: without what walls hold, where that is solved for by itself
+MAGNETIC = ("bfield_x", "bfield_y", "bfield_z")  # where parts have frames of their own
+OF_CHARGE = "_of_charge"  # behind a name: without images and what walls hold, where these are solved for by themselves
+OF_IMAGES = "_of_images"  # behind a name: of images of the charge in walls across its motion
 BEFORE = "phi_before"  # that of the step before, where solves start from both
 UNITS = {"rho": "C/m^3", "phi": "V", "efield": "V/m", "bfield": "T"}
 COLUMNS = ("position", "momentum", "weight", "id")
@@ -87,6 +91,7 @@ def snapshot(state: State, plan: Plan) -> Snapshot:
         extra={
             "species": particles.species.to_dict(),
             "report": vars(report),
+            "report_of_images": None if state.solution.images is None else vars(state.solution.images.report),
             "frames": asdict(state.solution.frames),
             "lag": state.lag,
             "dt": plan.dt,
@@ -176,28 +181,16 @@ def _state(plan: Plan, held: Snapshot, stored: Hierarchy, hierarchy: Hierarchy) 
             field.array(level)[:] = values
     if hierarchy is not stored and not another:
         fields = {name: carry_over(field, hierarchy) for name, field in fields.items()}
-    rho, phi, *efield_parts = (fields.get(name + OF_CHARGE, fields[name]) for name in FIELDS)
-    efield = VectorField(*efield_parts)
-    frames = _frames(extra)
-    plan.say_what_is_left(frames)  # so that what the log has up to the checkpoint does not come again
-    magnetic: VectorField | None = None
-    parts: tuple[Field, ...] = ()
-    if frames.only is not None:
-        plan.compensate(efield, rho, frames.only)
-    else:
-        plan.go_without_compensation()
-        magnetic = VectorField(*(fields[f"bfield_{axis}"] for axis in AXES))
-        parts = tuple(fields[f"phi_{number}"] for number in range(len(frames.members)))
-    report = SolveReport(**extra["report"])
-    before = fields.get(BEFORE)
-    walls = plan.walls(rho.hierarchy, frames)
-    solution = Solution(rho, phi, efield, report, frames, parts, magnetic, before, walls)
-    known = ParticleFields(particles, hierarchy, plan, solution, frames)
+    course = Course.from_dict(extra["course"]) if "course" in extra else Course.of_scene(plan.scene)
+    course = course.on_base_of(plan.scene)
+    solution = _solution(plan, fields, extra)
+    plan.say_what_is_left(solution.frames)  # so that what the log has up to the checkpoint does not come again
+    known = ParticleFields(particles, hierarchy, plan, solution, solution.frames)
     if another:
+        known.frames = mirrored(solution.frames, solution.frames, plan.scene, course.window)
         known = follow(known)
     else:
         known.solution = solution
-    course = Course.from_dict(extra["course"]) if "course" in extra else Course.of_scene(plan.scene)
     lost, screens = _records(held, species, hierarchy.domain)
     given = held.header.about.scene["motion"].get("dt")
     before = extra.get("dt", given)
@@ -210,23 +203,57 @@ def _state(plan: Plan, held: Snapshot, stored: Hierarchy, hierarchy: Hierarchy) 
     )
 
 
+def _solution(plan: Plan, fields: Mapping[str, Field], extra: Mapping[str, Any]) -> Solution:
+    """Return what was solved for, as a checkpoint holds it. Collective."""
+    frames, images = _frames(extra), None
+    solution = _part(fields, frames, extra["report"], OF_CHARGE)
+    if frames.only is not None:
+        plan.compensate(solution.efield, solution.rho, frames.only)
+    else:
+        plan.go_without_compensation()
+    if (reflected := frames.images) is not None:
+        images = _part(fields, reflected, extra["report_of_images"], OF_IMAGES, OF_IMAGES)
+    walls = plan.walls(solution.rho.hierarchy, frames)
+    return replace(solution, before=fields.get(BEFORE), walls=walls, images=images)
+
+
+def _part(
+    fields: Mapping[str, Field], frames: Frames, report: Mapping[str, Any], of: str, of_bins: str = ""
+) -> Solution:
+    """Return the field of the charge or of its images, whose names end so, as those of its bins do."""
+    rho, phi, *efield = (fields.get(name + of, fields[name]) for name in FIELDS)
+    names = [f"phi_{number}{of_bins}" for number in range(len(frames.members))]
+    if names[0] not in fields:
+        return Solution(rho, phi, VectorField(*efield), SolveReport(**report), frames)
+    magnetic = VectorField(*(fields.get(name + of, fields[name]) for name in MAGNETIC))
+    parts = tuple(fields[name] for name in names)
+    return Solution(rho, phi, VectorField(*efield), SolveReport(**report), frames, parts, magnetic)
+
+
 def _fields(state: State) -> dict[str, Field]:
-    solution = state.solution
+    solution, images = state.solution, state.solution.images
     # E is kept although it follows from φ: at open walls that takes the charge of the latest solve as well.
-    out = _by_name(state.rho, state.phi, state.efield)
-    if solution.walls is not None:  # a run goes on from what is without them, to the last bit
-        of_charge = _by_name(state.rho, solution.phi, solution.efield)
+    out = _by_name(state.rho, state.phi, state.efield, None if solution.magnetic is None else solution.bfield)
+    out |= {f"phi_{number}": part for number, part in enumerate(solution.parts)}
+    # A run goes on from what is without images and walls, to the last bit.
+    if solution.walls is not None or images is not None:
+        magnetic = None if images is None else solution.magnetic
+        of_charge = _by_name(state.rho, solution.phi, solution.efield, magnetic)
         out |= {name + OF_CHARGE: field for name, field in of_charge.items() if name != "rho"}
-    if solution.magnetic is not None:
-        out |= {f"bfield_{axis}": field for axis, field in zip(AXES, solution.magnetic.components, strict=True)}
-        out |= {f"phi_{number}": part for number, part in enumerate(solution.parts)}
+    if images is not None:
+        of_images = _by_name(state.rho, images.phi, images.efield, images.magnetic)
+        of_images |= {f"phi_{number}": part for number, part in enumerate(images.parts)}
+        out |= {name + OF_IMAGES: field for name, field in of_images.items() if name != "rho"}
     if solution.before is not None:
         out[BEFORE] = solution.before
     return out
 
 
-def _by_name(rho: Field, phi: Field, efield: VectorField) -> dict[str, Field]:
-    return dict(zip(FIELDS, (rho, phi, *efield.with_components().components), strict=True))
+def _by_name(rho: Field, phi: Field, efield: VectorField, magnetic: VectorField | None) -> dict[str, Field]:
+    out = dict(zip(FIELDS, (rho, phi, *efield.with_components().components), strict=True))
+    if magnetic is not None:
+        out |= dict(zip(MAGNETIC, magnetic.components, strict=True))
+    return out
 
 
 def _frames(extra: Mapping[str, Any]) -> Frames:
@@ -240,17 +267,10 @@ def _frames(extra: Mapping[str, Any]) -> Frames:
         return Frames(members, held["axis"], edges, tuple((Charge(bin),) for bin in range(len(members))))
     of = tuple(tuple(Charge(*charge) for charge in part) for part in held["of"])
     turn = None if held.get("turn") is None else tuple(map(vector, held["turn"]))
-    return Frames(
-        members,
-        held["axis"],
-        tuple(held["edges"]),
-        of,
-        held["error"],
-        held["across"],
-        vector(held["moves"]),
-        tuple(map(tuple, held.get("motion", ()))),
-        turn,
-    )
+    mirror = None if held.get("mirror") is None else Mirror.from_dict(held["mirror"])
+    errors, motion = (held["error"], held["across"], vector(held["moves"])), tuple(map(tuple, held.get("motion", ())))
+    edges = tuple(held["edges"])
+    return Frames(members, held["axis"], edges, of, *errors, motion, turn, mirror, held.get("leaves", False))
 
 
 def _records(held: Snapshot, species: SpeciesTable, domain: Domain) -> tuple[Record, Record]:
@@ -287,6 +307,11 @@ def _remarks(scene: Scene, header: Header) -> list[str]:
     now, made_from, out = scene.to_dict(), header.about.scene, []
     if _mesh_is_another(scene, header):
         out.append("the mesh is made anew, and the field solved on it: the base or the sizes of boxes are other ones")
+        if header.extra.get("frames", {}).get("leaves"):
+            out.append(
+                "the wall that the window left behind is taken up to a quarter of a base cell off its place for the field at "
+                "the restart, and in its place from the next step on"
+            )
     if now["bunches"] != made_from["bunches"]:
         out.append("bunches of the scene differ from those of the checkpoint, whose particles go on as they are")
     if scene.schedule.start is not None and scene.schedule.start != made_from["schedule"].get("start"):

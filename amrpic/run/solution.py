@@ -15,6 +15,8 @@ from ..particles.frame import Frame
 from ..stages.poisson import SolveReport
 from ..units import SPEED_OF_LIGHT
 
+Part = tuple[Frame, Field, VectorField, SolveReport]  # φ and E of a bin or of its images, solved for in a frame
+
 
 @dataclass(frozen=True, eq=False)
 class Solution:
@@ -24,38 +26,48 @@ class Solution:
     """
 
     rho: Field  # of the particles, C/m³; without a neutralizing background
-    phi: Field  # V; without `walls`
-    efield: VectorField  # V/m; without `walls`
+    phi: Field  # V; without `walls` and `images`
+    efield: VectorField  # V/m; without these
     report: SolveReport  # of the bin that took most cycles
     frames: Frames = ONE_FRAME  # in which the charge of each bin rests
     parts: tuple[Field, ...] = ()  # φ of each bin, if there are more than one, V
-    magnetic: VectorField | None = None  # T, if there are more bins than one
+    magnetic: VectorField | None = None  # T, if there are more bins than one; without that of `images`
     before: Field | None = None  # φ of the step before on this mesh, where the next solve starts from both, V
     walls: tuple[Field, VectorField] | None = (
         None  # φ and E of what walls hold, where those above are without: see `Plan.walls`
     )
+    images: Solution | None = None  # of the images of the charge in walls across its motion, which move against it
 
     @cached_property
     def potential(self) -> Field:
-        """Potential of the charge and of what walls hold, V; read-only."""
-        if self.walls is None:
+        """Potential of the charge, of its images and of what walls hold, V; read-only."""
+        if not self._beside:
             return self.phi
-        out = self.phi + self.walls[0]
+        out = self.phi
+        for of_others in self._beside:
+            out = out + of_others[0]
         out.lock()
         return out
 
     @cached_property
     def electric(self) -> VectorField:
-        """Electric field of the charge and of what walls hold, V/m; read-only."""
-        if self.walls is None:
+        """Electric field of the charge, of its images and of what walls hold, V/m; read-only."""
+        if not self._beside:
             return self.efield
-        both = (field.with_components().components for field in (self.efield, self.walls[1]))
-        out = VectorField(*(one + other for one, other in zip(*both, strict=True)))
+        out = self.efield
+        for of_others in self._beside:
+            out = added(out, of_others[1])
         for component in out.components:
             component.lock()
         if self.efield.compensation is not None:
             out.compensate(self.efield.compensation)
         return out
+
+    @property
+    def _beside(self) -> list[tuple[Field, VectorField]]:
+        """φ and E of what is not the charge itself."""
+        of_images = [] if self.images is None else [(self.images.phi, self.images.efield)]
+        return of_images if self.walls is None else [self.walls, *of_images]
 
     @property
     def guess(self) -> Field:
@@ -72,22 +84,22 @@ class Solution:
     @property
     def beta(self) -> tuple[float, float, float]:
         """Velocity over c of the charge, if there is one bin: its magnetic field is β × E / c. Else zero: see `magnetic`."""
-        only = self.frames.only
+        only = self.frames.only if self.magnetic is None else None
         return (0.0, 0.0, 0.0) if only is None else only.beta
 
     @property
     def bfield(self) -> VectorField:
-        """Magnetic field of the charge, T; made anew each time if there is one bin."""
-        if self.magnetic is not None:
-            return self.magnetic
-        out = zeros(self.rho.hierarchy, "T")
-        add_magnetic(out, self.efield, self.beta)
-        return out
+        """Magnetic field of the charge and its images, T; made anew each time unless `magnetic` is all of it."""
+        out = self.magnetic
+        if out is None:
+            out = zeros(self.rho.hierarchy, "T")
+            add_magnetic(out, self.efield, self.beta)
+        return out if self.images is None else added(out, self.images.bfield)
 
 
 def superposed(
     rho: Field,
-    parts: Sequence[tuple[Frame, Field, VectorField, SolveReport]],
+    parts: Sequence[Part],
     frames: Frames,
     walls: tuple[Field, VectorField] | None = None,
 ) -> Solution:
@@ -103,6 +115,12 @@ def superposed(
         add_magnetic(magnetic, field, frame.beta)
     report = max((one[3] for one in parts), key=lambda report: report.cycles)
     return Solution(rho, phi, electric, report, frames, tuple(one[1] for one in parts), magnetic, walls=walls)
+
+
+def added(one: VectorField, other: VectorField) -> VectorField:
+    """Return the sum of two fields."""
+    both = (field.with_components().components for field in (one, other))
+    return VectorField(*(a + b for a, b in zip(*both, strict=True)))
 
 
 def zeros(hierarchy: Hierarchy, unit: str) -> VectorField:

@@ -18,6 +18,7 @@ from .adapt import follow, make_base, outrun
 from .clock import Spent
 from .course import Course
 from .flight import fly, place
+from .image_forces import frames_with_images
 from .initial_particles import make_bunches, start_of
 from .leapfrog import kick_and_drift
 from .particle_fields import ParticleFields
@@ -38,7 +39,8 @@ def advance(state: State, plan: Plan) -> State:
         particles, deposition, lost, screens = fly(state, moved, course.window, plan)
     turn = state.window.turn_to(course.window)
     behind = None if turn is None else part_of(turn.T, plan.dt / 2 / state.flight)  # momenta are, of the latest turn
-    frames = plan.frames(particles, state.solution.frames, lost.particles, behind)
+    last = frames_with_images(state, plan)
+    frames = plan.frames(particles, last, lost.particles, behind, course.window)
     fields = ParticleFields(particles, state.hierarchy, plan, state.solution, frames, deposition)
     if plan.scene.refinement.regrids_at(step) or outrun(fields):
         fields = follow(fields, plan.scene.refinement.hysteresis)

@@ -175,18 +175,18 @@ def _window(scene: SceneParts) -> None:
             path="motion.window",
             found=scene.motion.window,
         )
-    assert scene.window_axis is not None
-    axis = AXES[scene.window_axis]
-    across = scene.domain.boundary[axis]
-    if not set(across) <= {"open", "periodic"}:
-        raise complaint(
-            "has a wall across the motion, which the window would take along",
-            'make both faces "open" or "periodic"',
-            path=f"domain.boundary.{axis}",
-            found=list(across),
-        )
+    axis = scene.axis_of_wall_left
+    if axis is not None:
+        _wall_behind(scene, AXES[axis], 1 if reference.mean_momentum[axis] > 0 else 0)
     for kind, given in (("potential", scene.domain.potential), ("slope", scene.domain.slope)):
         for name, pair in given.items():
+            if axis is not None and any(pair):
+                raise complaint(
+                    "has an image in the wall that the window leaves behind, which is not known",
+                    f"give the field as an element, or make the faces of {AXES[axis]} open",
+                    path=f"domain.{kind}.{name}",
+                    found=list(pair),
+                )
             if any(isinstance(value, str) for value in pair):
                 raise complaint(
                     "is a formula, which the window would take along",
@@ -194,6 +194,18 @@ def _window(scene: SceneParts) -> None:
                     path=f"domain.{kind}.{name}",
                     found=list(pair),
                 )
+
+
+def _wall_behind(scene: SceneParts, axis: str, ahead: int) -> None:
+    """Raise a complaint if there is a wall ahead of the window: a plane behind it mirrors from where it stays."""
+    faces = scene.domain.boundary[axis]
+    if faces[ahead] != "open":
+        raise complaint(
+            "has a wall ahead of the window, which would take it along",
+            f"make the {('lower', 'upper')[ahead]} face open; a wall behind the window may stay, and is left there",
+            path=f"domain.boundary.{axis}",
+            found=list(faces),
+        )
 
 
 def _names(scene: SceneParts) -> None:

@@ -68,7 +68,9 @@ class Leapfrog(Section):
         default="none",
         description="reference: the mesh goes with the reference particle. It keeps its axes and goes along the one that the "
         "particle starts along; where all faces are open, it follows and turns with it. Coordinates of particles and fields "
-        "are then those of the mesh at the start; elements stay where they are.",
+        "are then those of the mesh at the start; elements stay where they are. A dirichlet or neumann face behind the "
+        "particle, such as a cathode, stays too, as an infinite plane with images of the charge; the mesh then goes by whole "
+        "base cells.",
     )
     reference: Reference | None = Field(
         default=None,

@@ -8,6 +8,8 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
+from ..mesh.domain import AXES
+from ..mesh.mirror import SIGNS
 from ..mesh.window import vector
 from .any_scene import AnyScene
 from .bunch_files import ArrayBunch, OpenPMDBunch
@@ -90,3 +92,9 @@ class SceneParts(AnyScene):
         if not isinstance(self.motion, Leapfrog) or self.motion.window == "none" or reference is None:
             return None
         return int(np.argmax(np.abs(reference.mean_momentum)))
+
+    @property
+    def axis_of_wall_left(self) -> int | None:
+        """The axis along which the window leaves a wall behind; None if it leaves none."""
+        axis = self.window_axis
+        return axis if axis is not None and set(self.domain.boundary[AXES[axis]]) & set(SIGNS) else None

@@ -15,6 +15,7 @@ from ..errors import SolverError
 from ..mesh.domain import BOUNDARIES
 from ..mesh.field import Field, Function, Holds, VectorField
 from ..mesh.hierarchy import Hierarchy
+from ..mesh.mirror import SIGNS, Mirror
 from ..mesh.rims import rims_of
 from ..parallel import together
 from ..scene.complaints import mistakes
@@ -75,6 +76,8 @@ class PoissonSolver:
     With `order=4` the equation holds for means over cells, with an error of h⁴ where ρ is smooth: ρ that holds points is turned
     into means, and φ holds means (`Field.holds`); E comes at points, or as means.
     With `screening` = κ it is −Δφ + κ²φ = ρ/ε₀, between faces none of which is open.
+    With a `mirror` the walls across its axis are open for the equation: a solve gives φ of the charge and of the images that
+    move as it does, φ₊, or with `image=True` that of those that move against it, φ₋.
 
     A cycle is a V-cycle over the refined levels, and an F-cycle over the base and the multigrid levels below it, of which the
     coarsest is solved exactly, with `sweeps` (before, after) of a smoother. Backend "matrix-free" loops over the rows of
@@ -97,6 +100,7 @@ class PoissonSolver:
         *,
         options: SolverOptions | None = None,
         background: str | None = None,
+        mirror: Mirror | None = None,
         reuse: BaseSetup | None = None,
         **choices: Any,
     ) -> None:
@@ -110,15 +114,24 @@ class PoissonSolver:
         chosen = self.options
         if refused := chosen.screening_refusal(hierarchy.domain):
             raise SolverError(f"screening is {chosen.screening:g}, which {refused[0]}; {refused[1]}")
+        if mirror is not None and (said := _mirror_refusal(mirror, hierarchy, chosen)):
+            raise SolverError(said)
+        self.mirror = mirror
         of_bottom = chosen.bottom, chosen.bottom_preconditioner, chosen.stretch, chosen.screening
-        self._base = hierarchy.comm, hierarchy.domain, chosen.order, *of_bottom
+        across = None if mirror is None else mirror.axis
+        self._base = hierarchy.comm, hierarchy.domain, chosen.order, *of_bottom, across
         if reuse is not None and reuse.base != self._base:
             raise SolverError(
-                "reuse comes from a solver of another domain, order, stretch, screening or bottom; make this one without it"
+                "reuse comes from a solver of another domain, order, stretch, screening, bottom or axis of a mirror; make this "
+                "one without it"
             )
         self._walls: tuple[Function | None, Function | None] | None = (None, None)  # whose values the walls hold
         native = native_options(chosen)
         native.neutralize = background is not None
+        if mirror is not None:
+            native.across = mirror.axis
+            native.mirror_places = [np.nan if plane is None else plane.place for plane in mirror.planes]
+            native.mirror_signs = [1 if plane is None else SIGNS[plane.kind] for plane in mirror.planes]
         kept = reuse.native if reuse is not None else _native.Reusable()
         try:
             self.native = _native.PoissonSolver(hierarchy.native, native, kept)
@@ -133,6 +146,7 @@ class PoissonSolver:
         boundary_flux: Function | None = None,
         last: SolveReport | None = None,
         deposited: float = 0.0,
+        image: bool = False,
     ) -> tuple[Field, SolveReport]:
         """Return the potential in V and how the solve went. Collective.
 
@@ -141,12 +155,16 @@ class PoissonSolver:
         Neumann faces; both are called with arrays of face centres in m, and are zero by default. `last` is the report of the
         solve on this hierarchy that found the guess: its estimate of the error that the mesh makes serves nine further
         solves, as long as the right-hand side is of about the same size, and these may take a single cycle. `deposited` is
-        the sum of the magnitudes of the charges that ρ was made of, C: rounding of these is no net charge.
+        the sum of the magnitudes of the charges that ρ was made of, C: rounding of these is no net charge. With `image` it is
+        the potential of the images of ρ in the `mirror` that move against it.
 
         Check `report.converged`: an unconverged potential is returned as what it is. Raises SolverError for a charge that
-        no potential can balance, for a right-hand side that is not finite, and for fields of another hierarchy.
+        no potential can balance, for a right-hand side that is not finite, for fields of another hierarchy, and for images
+        without a plane that makes them.
         """
         self._require_home("rho", rho)
+        if image and not (self.mirror is not None and self.mirror.reflects):
+            raise SolverError("images of ρ are asked for, but no plane mirrors it; give the solver a mirror with one")
         if guess is not None:
             self._require_home("guess", guess)
         self._set_walls(boundary_values, boundary_flux)
@@ -156,7 +174,7 @@ class PoissonSolver:
         if phi.holds == "means":
             rho = self._in_means(rho)
         try:
-            report = self.native.solve(rho.native, phi.native, guess is None, _known(last), deposited)
+            report = self.native.solve(rho.native, phi.native, guess is None, _known(last), deposited, image)
         except _native.SolverError as refused:
             raise SolverError(str(refused)) from None
         mesh = report.mesh_error
@@ -281,8 +299,18 @@ class PoissonSolver:
 class BaseSetup:
     """What a solver hands on to the next one on its domain."""
 
-    base: tuple  # communicator, domain, order, bottom and its preconditioner, stretch, screening
+    base: tuple  # communicator, domain, order, bottom and its preconditioner, stretch, screening, axis of the mirror
     native: _native.Reusable
+
+
+def _mirror_refusal(mirror: Mirror, hierarchy: Hierarchy, options: SolverOptions) -> str | None:
+    """Return why a solver has no such mirror, and what to do; None if it has."""
+    if options.screening > 0:
+        return (
+            f"screening is {options.screening:g} with a mirror, behind whose faces the potential is an unscreened one; leave "
+            "one of the two out"
+        )
+    return mirror.refusal(hierarchy.domain)
 
 
 def _known(last: SolveReport | None) -> _native.MeshError:

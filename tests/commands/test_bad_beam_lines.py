@@ -67,8 +67,8 @@ REFUSED = {
     "fringe that never falls": (
         ["elements.0.fringe=enge", "elements.0.gap=0.01", "elements.0.enge=[0,0]"], ["elements.0.enge", "does not let"]
     ),
-    "a wall across a fast beam": (["domain.boundary=dirichlet"], ["along z is dirichlet", "open"]),
-    "a wall across a window": (["domain.boundary=dirichlet", "motion.window=reference"], ["domain.boundary.z", "wall across"]),
+    "a wall across a fast beam": (["domain.boundary=neumann", "background=neutralizing"], ["along z is neumann", "open"]),
+    "a wall ahead of a window": (["domain.boundary=dirichlet", "motion.window=reference"], ["domain.boundary.z", "wall ahead"]),
     "a fast beam along no axis": (["bunches.0.momentum=['0.5 MeV/c',0,'0.5 MeV/c']"], ["off the", "0.1/γ"]),
     "aperture of a face's name": (["apertures.0.name=x_lower"], ["apertures.0.name", "face of the domain"]),
     "screen of a path": (["screens.0.name=../a"], ["screens.0.name", "letters"]),

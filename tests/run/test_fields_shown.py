@@ -20,6 +20,8 @@ PLATES = {"boundary": {"x": "dirichlet", "y": "neumann", "z": "periodic"}, "pote
 SLOPES = {"boundary": {"x": "dirichlet", "y": "neumann", "z": "open"}, "slope": {"y": ["3e4 V/m", "-5e4 V/m"]}}
 BOTH = {**SLOPES, "potential": {"x": ["-200 V", "1 kV"]}}
 WINDOW = {"window": "reference", "dt": "20 ps"}
+CATHODE = {"boundary": {"x": "open", "y": "open", "z": ["dirichlet", "open"]}}
+ACROSS = {"boundary": {"x": "dirichlet", "y": "open", "z": "dirichlet"}, "potential": {"z": ["-1 kV", "0 V"]}}
 REFINED = {
     "levels": 1,
     "rule": {"kind": "static", "boxes": [{"level": 1, "lower": ["-1 mm"] * 3, "upper": ["1 mm", "1 mm", "2 mm"]}]},
@@ -56,6 +58,12 @@ SCENES = {
     "window and walls": scene([50.0], BOTH, WINDOW),
     "window and two energies, refined": scene([4.0, 6.0], {}, WINDOW, refinement=REFINED),
     "walls, refined": scene([5.0], BOTH, refinement=REFINED),
+    "a cathode": scene([5.0], CATHODE),
+    "a cathode, two energies": scene([4.0, 6.0], CATHODE, refinement=REFINED),
+    "a cathode, one energy of two fast": scene([0.05, 3.0], CATHODE),
+    "a cathode left behind": scene([5.0], CATHODE, WINDOW),
+    "a cathode left behind, two energies": scene([4.0, 6.0], CATHODE, WINDOW, solver={"order": 4}),
+    "plates across": scene([5.0], ACROSS),
     "walls, drift first, Boris's turn": scene([30.0], PLATES, {"form": "drift-kick-drift", "pusher": "boris"}),
 }
 
@@ -135,7 +143,17 @@ def fields_of(run: amrpic.Simulation) -> dict[str, Field | VectorField]:
 
 
 @pytest.mark.mpi(ranks=(1, 2))
-@pytest.mark.parametrize("name", ["walls", "slopes and walls of two energies", "window"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "walls",
+        "slopes and walls of two energies",
+        "window",
+        "a cathode",
+        "a cathode left behind, two energies",
+        "plates across",
+    ],
+)
 def test_files_hold_what_acts_and_a_restart_goes_on_bit_by_bit(comm: MPI.Comm, tmp_path: Path, name: str) -> None:
     given = SCENES[name].to_dict()
     given["output"] = {"directory": str(tmp_path / "run"), "write": ["fields", "checkpoint"], "fields_every": 2}

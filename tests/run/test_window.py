@@ -135,7 +135,7 @@ def test_a_run_goes_on_in_its_window(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "part"),
     [
-        ({"boundary": {"z": ["open", "dirichlet"]}}, "wall across the motion"),
+        ({"boundary": {"z": ["open", "dirichlet"]}}, "wall ahead of the window"),
         ({"boundary": {"x": "dirichlet"}, "potential": {"x": "5*z"}}, "is a formula"),
     ],
 )

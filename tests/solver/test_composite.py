@@ -448,10 +448,10 @@ def test_lengths_may_be_stretched(comm):
     for level, values in enumerate(found):
         assert values == pytest.approx(expected[level], rel=0, abs=ROUNDING * p.largest_term(level))
     for axis, e in enumerate(p.components(p.electric_field(_native.CoveredField.mean))):
-        expected = p.field_of_operators(axis, "mean")
+        by_operators = p.field_of_operators(axis, "mean")
         for level in range(p.hierarchy.levels):
             size = ROUNDING * p.largest_term(level)
-            assert e.native.level(level) == pytest.approx(expected.native.level(level), rel=0, abs=size)
+            assert e.native.level(level) == pytest.approx(by_operators.native.level(level), rel=0, abs=size)
 
 
 @on_ranks

@@ -40,7 +40,7 @@ domain.lower: 0.1 | 1 | nan | -inf | '2 pC' | [0,0] | [0,0,0,0] | true | {} | -1
 domain.upper: -0.1 | inf | nan | 1e300 | '1 parsec' | 'one metre' | -0.0999999999999999 | '1e999 m'
 domain.cells: 0 | 1 | -16 | 2.5 | '16' | [16,16] | [16,1,16] | 1e3000 | 2048 | 4194304 | true
 domain.cells: 10000000000000000000000
-domain.boundary: 'closed' | 3 | {w='open'} | {x='periodic'} | {x=['periodic','open']} | ['open'] | {x=[]} | 'Open '
+domain.boundary: 'closed' | 3 | {w='open'} | {x=['periodic','open']} | ['open'] | {x=[]} | 'Open '
 domain.potential: {x='1 m'} | {x='sin('} | {x='__import__(1)'} | {x=['1 V']} | {y='1/0'} | {x='nope*x'} | 7
 domain.slope: {x=3} | {q=1}
 domain.size: 1

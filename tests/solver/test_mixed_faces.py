@@ -54,7 +54,7 @@ def turned(array, axes, reverse):
     """An array, or several, with its three last axes in another order and some of them reversed."""
     lead = array.ndim - 3
     out = array.transpose(*range(lead), *(lead + axis for axis in axes))
-    return np.flip(out, [lead + d for d in range(3) if reverse[d]])
+    return np.flip(out, tuple(lead + d for d in range(3) if reverse[d]))
 
 
 def turned_faces(boundary, axes, reverse):

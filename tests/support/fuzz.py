@@ -211,7 +211,8 @@ def lattice_errors(case: Case, ghosts: Sequence[np.ndarray]) -> dict[str, float]
     """Those of ghosts against the exact lattice potential; of values that charge of one sign would make."""
     counted = counted_at_ghosts(case.charges(), case.boundary)
     lattice = LatticeBetweenFaces(case.cells, case.spacing, case.boundary)
-    return ghost_errors(ghosts, *lattice(np.array([counted, abs(counted)])), case.spacing, case.boundary)
+    exact, of_magnitudes = lattice(np.array([counted, abs(counted)]))
+    return ghost_errors(ghosts, exact, of_magnitudes, case.spacing, case.boundary)
 
 
 def shown(residuals: Sequence[float]) -> str:

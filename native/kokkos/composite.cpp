@@ -98,9 +98,10 @@ Composite::Composite(CompositeMesh& mesh, std::vector<SweptLevel*> levels)
   mesh_.plan().cells.for_each_asked([&](int purpose, Read const& read) {
     int const l = CompositePlan::level_of(purpose);
     Box const part = read.cells();
-    for (int k = part.lower[2]; k <= part.upper[2]; ++k)
-      for (int j = part.lower[1]; j <= part.upper[1]; ++j, to += part.extent(0))
-        sent[std::size_t(l)].push_back({place_of(mesh_, l, read.owner, {part.lower[0], j, k}), 1, to, part.extent(0)});
+    amrpic::for_each_row(part, [&](Index3 const& first) {
+      sent[std::size_t(l)].push_back({place_of(mesh_, l, read.owner, first), 1, to, part.extent(0)});
+      to += part.extent(0);
+    });
   });
   for (std::size_t l = 0; l < levels_.size(); ++l) levels_[l].sent_cells = listed(sent[l]);
 }
@@ -123,7 +124,7 @@ void Composite::plan_faces(int l, OnLevel& level, std::vector<CompositeBox>& box
   for (int b = 0; b < mesh_.boxes(l); ++b) {
     if (mesh_.plan(l, b).is_fully_covered) continue;
     Box const& box = mesh_.box(l, b);
-    Index3 const pitch = pitches(box);
+    Index3 const pitch = box.strides();
     for (int f = 0; f < 6; ++f) {
       int const axis = f / 2, side = f % 2;
       auto const [u, v] = tangential_axes(axis);
@@ -255,7 +256,7 @@ void Composite::plan_exchanges(int l, OnLevel& level) {
     for (int b = 0; b < mesh_.boxes(l); ++b)
       for (int f = mesh_.plan(l, b).families.first; f < mesh_.plan(l, b).families.last; ++f) {
         Family const& family = plan.families[std::size_t(f)];
-        Index3 const pitch = pitches(mesh_.box(l, b));
+        Index3 const pitch = mesh_.box(l, b).strides();
         std::int32_t const child =
             mesh_.offset(l, b) + family.child[0] + family.child[1] * pitch[1] + family.child[2] * pitch[2];
         for (int k = 0; k < family.parents[2]; ++k)
@@ -266,11 +267,12 @@ void Composite::plan_exchanges(int l, OnLevel& level) {
     std::int32_t to = 0;
     mesh_.plan(l - 1).finer_means.for_each_asked([&](int, Read const& read) {
       Box const part = read.cells();
-      Index3 const pitch = pitches(mesh_.level(l).box(read.owner));
-      for (int k = part.lower[2]; k <= part.upper[2]; ++k)
-        for (int j = part.lower[1]; j <= part.upper[1]; ++j, to += part.extent(0))
-          sent.push_back({to, place_of(mesh_, l, read.owner, {2 * part.lower[0], 2 * j, 2 * k}), pitch[1], pitch[2],
-                          part.extent(0)});
+      Index3 const pitch = mesh_.level(l).box(read.owner).strides();
+      amrpic::for_each_row(part, [&](Index3 const& parent) {
+        sent.push_back(
+            {to, place_of(mesh_, l, read.owner, first_child_of(parent)), pitch[1], pitch[2], part.extent(0)});
+        to += part.extent(0);
+      });
     });
     to = 0;
     mesh_.plan(l - 1).finer_fluxes.for_each_asked([&](int, Read const& read) {

@@ -40,7 +40,7 @@ void CompositeAverage::add_plane(int l, int b, int k, Block<T> const& correction
 
 /// Set the parents of planes k and k + 1 of a box that are cells of this rank to the mean of their children.
 void CompositeAverage::average_pair(int l, int b, int k, Field& phi) const {
-  Index3 const pitch = pitches(mesh_.box(l, b));
+  Index3 const pitch = mesh_.box(l, b).strides();
   Real const* const cells = phi.level(l).data() + mesh_.offset(l, b) + std::ptrdiff_t(k) * pitch[2];
   for (int f = mesh_.plan(l, b).families.first; f < mesh_.plan(l, b).families.last; ++f) {
     Family const& family = mesh_.plan(l).families[std::size_t(f)];
@@ -57,12 +57,12 @@ void CompositeAverage::average_pair(int l, int b, int k, Field& phi) const {
 void CompositeAverage::send_means(int l, Field const& phi) {
   mesh_.plan(l - 1).finer_means.start([&](int, Read const& read, Real* out) {
     Box const &own = mesh_.level(l).box(read.owner), part = read.cells();
-    Index3 const pitch = pitches(own);
+    Index3 const pitch = own.strides();
     Real const* const cells = phi.level(l).data() + mesh_.level(l).local_offset(read.owner);
-    for (int k = part.lower[2]; k <= part.upper[2]; ++k)
-      for (int j = part.lower[1]; j <= part.upper[1]; ++j, out += part.extent(0))
-        average_children(part.extent(0), cells + own.offset({2 * part.lower[0], 2 * j, 2 * k}), pitch[1], pitch[2],
-                         out);
+    for_each_row(part, [&](Index3 const& parent) {
+      average_children(part.extent(0), cells + own.offset(first_child_of(parent)), pitch[1], pitch[2], out);
+      out += part.extent(0);
+    });
   });
 }
 
@@ -105,7 +105,7 @@ Real CompositeAverage::add(Blocks<T> const& correction, Real scale, Field& phi) 
         for (int j = 0; j < mesh_.box(l, b).extent(1); ++j)
           largest.add(from.origin + j * from.pitch_y + k * from.pitch_z, mesh_.box(l, b).extent(0));
       else
-        add_plane(l, b, k, from, scale, cells + std::ptrdiff_t(k) * pitches(mesh_.box(l, b))[2], largest);
+        add_plane(l, b, k, from, scale, cells + k * mesh_.box(l, b).stride(2), largest);
       if (l > 0 && k % 2 == 1) average_pair(l, b, k - 1, phi);
     }
   };

@@ -59,9 +59,9 @@ void CompositeField::send_means(int l, Real const* means) {
       [&](int, Read const& read, Real* out) {
         Box const parents = mesh_.level(l).box(read.owner).coarsen(refinement_ratio), part = read.cells();
         Real const* const first = means + width * (mesh_.level(l).local_offset(read.owner) / children);
-        for (int k = part.lower[2]; k <= part.upper[2]; ++k)
-          for (int j = part.lower[1]; j <= part.upper[1]; ++j, out += width * part.extent(0))
-            std::copy_n(first + width * parents.offset({part.lower[0], j, k}), width * part.extent(0), out);
+        for_each_row(part, [&](Index3 const& of_row) {
+          out = std::copy_n(first + width * parents.offset(of_row), width * part.extent(0), out);
+        });
       },
       std::size_t(width));
 }
@@ -83,7 +83,7 @@ void CompositeField::take_means(int l, Real const* means, ElectricField& field) 
   for (int b = 0; b < mesh_.boxes(l); ++b)
     for (int f = mesh_.plan(l, b).families.first; f < mesh_.plan(l, b).families.last; ++f) {
       Family const& family = mesh_.plan(l).families[std::size_t(f)];
-      Index3 const pitch = pitches(mesh_.box(l, b).coarsen(refinement_ratio));
+      Index3 const pitch = mesh_.box(l, b).coarsen(refinement_ratio).strides();
       Real const* from = means + width * (mesh_.offset(l, b) / children);
       for (int d = 0; d < 3; ++d) from += width * (family.child[d] / 2) * pitch[d];
       give(from, pitch, family);
@@ -122,7 +122,7 @@ ElectricField CompositeField::electric_field(std::shared_ptr<Field const> potent
 
   auto planes_of = [&](int l, int b, int k) {  // set two by two, in memory that all boxes share
     std::array<Real*, 3> e;
-    for (int d = 0; d < 3; ++d) e[d] = planes_.data() + (2 * d + k % 2) * std::ptrdiff_t(pitches(mesh_.box(l, b))[2]);
+    for (int d = 0; d < 3; ++d) e[d] = planes_.data() + (2 * d + k % 2) * mesh_.box(l, b).stride(2);
     return e;
   };
   auto set_box = [&](int l, int b) {

@@ -23,9 +23,7 @@ void CompositeMesh::clear_covered(int l, int b, int k, Real* plane) const {
 void CompositeMesh::pack_cells(Field const& field, int l, Read const& read, Real* out) const {
   Box const &own = level(l).box(read.owner), part = read.cells();
   Real const* from = field.level(l).data() + level(l).local_offset(read.owner);
-  for (int k = part.lower[2]; k <= part.upper[2]; ++k)
-    for (int j = part.lower[1]; j <= part.upper[1]; ++j)
-      out = std::copy_n(from + own.offset({part.lower[0], j, k}), part.extent(0), out);
+  for_each_row(part, [&](Index3 const& first) { out = std::copy_n(from + own.offset(first), part.extent(0), out); });
 }
 
 }  // namespace amrpic

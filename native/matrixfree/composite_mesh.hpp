@@ -27,9 +27,6 @@ struct Block {
 template <class T>
 using Blocks = std::vector<std::vector<Block<T>>>;
 
-/// Distances in memory of the neighbours of a cell of a box.
-inline Index3 pitches(Box const& box) { return {1, box.extent(0), box.extent(0) * box.extent(1)}; }
-
 enum class FullyCovered { visit, skip };  ///< boxes without uncovered cells
 
 /// The cells of all levels, as what is done to them box by box sees them: the boxes of this rank, counted on each level

@@ -37,7 +37,10 @@ class LevelPlanner {
 
   /// Faces and interfaces; the finer level comes later, when its interfaces are known.
   void plan_faces() {
-    number_walls();
+    out_.boxes.resize(faces_.size());
+    for_each_wall(level_, [&](int b, int axis, int side, GlobalIndex first) {
+      out_.boxes[std::size_t(b - level_.first_local_box())].faces[std::size_t(2 * axis + side)].wall = int(first);
+    });
     for (std::size_t b = 0; b < faces_.size(); ++b) {
       number_ = level_.first_local_box() + int(b);
       box_ = faces_[b].box;
@@ -81,19 +84,6 @@ class LevelPlanner {
  private:
   static Box counted_from(Index3 const& first, Box const& part) { return part.shift_back(first); }
   Box counted_from_first(Box const& part) const { return counted_from(box_.lower, part); }
-
-  /// Wall data come by axis, side and box, each face's by its lower axis first.
-  void number_walls() {
-    out_.boxes.resize(faces_.size());
-    int place = 0;
-    for (std::size_t f = 0; f < 6; ++f)
-      for (std::size_t b = 0; b < faces_.size(); ++b) {
-        Face const& face = faces_[b].sides[f];
-        if (!face.is_wall) continue;
-        out_.boxes[b].faces[f].wall = place;
-        place += int(face.layer.cells());
-      }
-  }
 
   void plan_face(FacePlan& plan, Face const& face, int f) {
     if (face.is_wall) return;
@@ -290,18 +280,6 @@ CompositePlan::CompositePlan(Hierarchy const& hierarchy) : levels(std::size_t(hi
     planner.plan_faces();
     if (hierarchy.has_finer(l)) planner.plan_refinement(levels[std::size_t(l) + 1]);
   }
-}
-
-Traffic CompositePlan::of_residual() const {
-  Traffic out = cells.of_start();
-  for (auto const& l : levels) out = out + l.finer_fluxes.of_start();
-  return out;
-}
-
-Traffic CompositePlan::of_average() const {
-  Traffic out;
-  for (auto const& l : levels) out = out + l.finer_means.of_start();
-  return out;
 }
 
 std::size_t CompositePlan::bytes() const {

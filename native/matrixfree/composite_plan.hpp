@@ -144,10 +144,6 @@ struct CompositePlan {
   static int around_gaps(int l) { return 4 * l + 3; }
   static int level_of(int purpose) { return purpose / 4; }
 
-  // What this rank sends for cells and fluxes, and for means.
-  Traffic of_residual() const;
-  Traffic of_average() const;
-
   std::size_t bytes() const;  ///< of this rank's lists
 };
 

@@ -17,12 +17,8 @@ void Imports::plan(Communicator const& comm) {
     for (Piece const& piece : pieces) out.push_back({piece.read.rank, piece.read.part.cells()});
     return out;
   };
-  auto const asked = parcels(asked_), wanted = parcels(wanted_);
-  for (std::size_t n = 0; n < asked.size(); ++n) {
-    sent_.messages += n == 0 || asked[n].rank != asked[n - 1].rank;
-    sent_.bytes += std::int64_t(sizeof(Real)) * asked[n].values;
-  }
-  exchange_ = Exchange<Real>(comm, asked, wanted);
+  auto const asked = parcels(asked_);
+  exchange_ = Exchange<Real>(comm, asked, parcels(wanted_));
   std::int32_t from = 0;
   for (auto const& [purpose, read] : wanted_) {
     places_[{purpose, read.reader, read.region, read.owner, read.shift}] = {from, read.part};

@@ -56,8 +56,6 @@ class Imports {
 
   Real const* values() const { return values_; }
 
-  Traffic of_start() const { return sent_; }  ///< what this rank sends, as its counters will say
-
   std::size_t memory() const;  ///< of plan and buffers on this rank, in bytes
 
  private:
@@ -75,7 +73,6 @@ class Imports {
   Exchange<Real> exchange_;
   Real const* values_ = nullptr;
   std::int32_t size_ = 0;
-  Traffic sent_;
 };
 
 /// The same reads in cells `ratio` times coarser.

@@ -21,7 +21,7 @@ struct BoxBuffer {
   ArrayOnBox<char> depth{Box{}, 0};
   std::vector<CoarseCells> coarse;  ///< coarse[r - 1] for the clouds that are r levels coarser; empty: none are
 
-  int depth_of(Index3 const& cell) const { return depth(cell_parent(cell)); }
+  int depth_of(Index3 const& cell) const { return depth(parent_of(cell)); }
 };
 
 /// The buffer in a region of a level, a box or a brick of it, without the places of the cells that are touched. Local.

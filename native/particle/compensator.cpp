@@ -25,7 +25,7 @@ Lanes two_cells(Pair const& x, Pair const& y, Pair const& z) {
 /// or null where that level has none; there the parent's value serves.
 template <class At>
 Real interpolated(Index3 const& cell, Level const& coarser, At const& at) {
-  Real const of_parent = *at(coarser.fold_at_walls(cell_parent(cell)));
+  Real const of_parent = *at(coarser.fold_at_walls(parent_of(cell)));
   Real out = 0;
   for_each_coarse_around(cell, [&](Index3 const& from, Real weight) {
     Real const* const value = at(coarser.fold_at_walls(from));
@@ -242,7 +242,7 @@ void Compensator::read_coarse() {
 /// The same values where all coarse ones exist: both children along x of several parents at a time.
 void Compensator::interpolate_whole_row(RowPart const& part, int j, int k, Real* out) {
   Box const& parents = box_->parents;
-  Index3 const near = cell_parent({part.first, j, k}), far = nearest_other_parent({part.first, j, k});
+  Index3 const near = parent_of({part.first, j, k}), far = nearest_other_parent({part.first, j, k});
   int const last = floor_divide(part.last, 2), skipped = part.first - 2 * near[0];
   std::array<Real const*, 4> rows;
   for (int n = 0; n < 4; ++n)

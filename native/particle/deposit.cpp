@@ -191,7 +191,7 @@ class BoxSums {
   void add_to_coarser(GhostRun const& run, Real const* sums) const {
     for (LocalIndex n = 0; n < run.count; ++n)
       if (Real const sum = sums[n * run.number_stride]; sum != 0) {
-        Index3 const parent = cell_parent(level_.fold_at_walls(run.cell(n)));
+        Index3 const parent = parent_of(level_.fold_at_walls(run.cell(n)));
         coarse_[at_.coarse[std::size_t(at_.parents.offset(parent))]] += per_cell_ / 8 * sum;
       }
   }
@@ -263,7 +263,7 @@ class RemoteCharge {
       if (windows[w].whole || w + 1 == windows.size()) continue;
       Window const& coarser = windows[w + 1];
       for_each_missing(level, windows[w], [&](Index3 const& cell) {
-        values_[plan_.first(brick, w + 1) + std::size_t(coarser.cells.offset(cell_parent(cell)))] +=
+        values_[plan_.first(brick, w + 1) + std::size_t(coarser.cells.offset(parent_of(cell)))] +=
             values[cells.offset(cell)] / 8;
       });
     }

@@ -43,13 +43,9 @@ inline std::size_t ghost_cells_below(Box const& box, int k) {
   return std::size_t(below.cells() - below.intersect(box).cells());
 }
 
-inline Index3 cell_parent(Index3 const& cell) {
-  return {floor_divide(cell[0], 2), floor_divide(cell[1], 2), floor_divide(cell[2], 2)};
-}
-
 /// Along each axis, the neighbour of a cell's parent on the side where the cell lies.
 inline Index3 nearest_other_parent(Index3 const& cell) {
-  Index3 out = cell_parent(cell);
+  Index3 out = parent_of(cell);
   for (int d = 0; d < 3; ++d) out[d] += 2 * out[d] == cell[d] ? -1 : 1;
   return out;
 }
@@ -57,7 +53,7 @@ inline Index3 nearest_other_parent(Index3 const& cell) {
 /// Call f(coarse cell, weight) for the eight cells of the next coarser level between whose centres that of `cell` lies.
 template <class F>
 void for_each_coarse_around(Index3 const& cell, F&& f) {
-  Index3 const near = cell_parent(cell), far = nearest_other_parent(cell);
+  Index3 const near = parent_of(cell), far = nearest_other_parent(cell);
   for (int corner = 0; corner < 8; ++corner) {
     Real weight = 1;
     Index3 from;

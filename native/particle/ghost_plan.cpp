@@ -17,7 +17,7 @@ struct Numbered {
 
 /// Mark the coarse cells that deposit and gather use for a ghost cell that its level lacks.
 void mark_coarse(Numbered& out, ArrayOnBox<GlobalIndex> const& numbers, Level const& coarser, Index3 const& cell) {
-  Index3 const parent = cell_parent(cell), other = nearest_other_parent(cell);
+  Index3 const parent = parent_of(cell), other = nearest_other_parent(cell);
   for (int corner = 0; corner < 8; ++corner) {
     Index3 c;
     for (int d = 0; d < 3; ++d) c[d] = (corner >> d) & 1 ? other[d] : parent[d];

@@ -156,7 +156,8 @@ void bind_matrixfree(nb::module_& m) {
             .work();
       },
       "hierarchy"_a, "pre_sweeps"_a, "post_sweeps"_a, "screening"_a = 0.0, "stretch"_a = Real3{1, 1, 1},
-      "What one cycle takes of this rank, by levels, the coarsest first: it is rehearsed, and messages are counted. Local "
+      "What one cycle takes of this rank, by levels, the coarsest first: it is rehearsed, and messages are counted. "
+      "Local "
       "for a virtual rank, else collective.");
   m.def(
       "set_most_direct_readers", [](int most) { return std::exchange(matrixfree::most_direct_readers(), most); },

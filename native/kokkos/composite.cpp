@@ -13,14 +13,14 @@ namespace amrpic::kokkos {
 
 // ---- what passes between ranks ----
 
-ImportBuffers::ImportBuffers(Imports const& imports) {
+ImportBuffers::ImportBuffers(RemoteReads const& imports) {
   std::size_t sent = 0;
   imports.for_each_asked([&](int, Read const& read) { sent += std::size_t(read.part.cells()); });
   sent_ = Array<Real>("sent", sent), received_ = Array<Real>("received", std::size_t(imports.size()));
   host_sent_ = Kokkos::create_mirror_view(sent_), host_received_ = Kokkos::create_mirror_view(received_);
 }
 
-void ImportBuffers::pass(Imports& imports) const {
+void ImportBuffers::pass(RemoteReads const& imports) const {
   Kokkos::deep_copy(host_sent_, sent_);
   Kokkos::fence();
   Real const* from = host_sent_.data();
@@ -243,19 +243,21 @@ void Composite::plan_rows(int l, OnLevel& level, std::vector<CompositeBox> const
 /// Means of the level's cells for the coarser one, and what passes to and from the finer one.
 void Composite::plan_exchanges(int l, OnLevel& level) {
   LevelPlan const& plan = mesh_.plan(l);
-  level.finer_fluxes = ImportBuffers(plan.finer_fluxes), level.finer_means = ImportBuffers(plan.finer_means);
+  level.finer_fluxes = ImportBuffers(plan.finer_fluxes);
   std::vector<CopiedRun> received, fluxes;
-  for (RemoteMeans const& m : plan.remote_means)
-    for (int k = 0; k < m.parents[2]; ++k)
-      for (int j = 0; j < m.parents[1]; ++j)
-        received.push_back({~(m.from + m.parents[0] * (j + m.parents[1] * k)), 1,
-                            m.parent + j * m.pitch_y + k * m.pitch_z, m.parents[0]});
+  if (mesh_.hierarchy().has_finer(l)) {
+    Families const& covered = mesh_.transfer().families(l);
+    level.finer_means = ImportBuffers(covered.means);
+    for (RemoteFamily const& family : covered.remote)
+      family.for_each_row([&](std::int32_t from, std::int32_t parent) {
+        received.push_back({~from, 1, parent, family.parents[0]});
+      });
+  }
   level.received_means = listed(received);
   std::vector<ParentRun> families, sent;
   if (l > 0) {
     for (int b = 0; b < mesh_.boxes(l); ++b)
-      for (int f = mesh_.plan(l, b).families.first; f < mesh_.plan(l, b).families.last; ++f) {
-        Family const& family = plan.families[std::size_t(f)];
+      for (Family const& family : mesh_.transfer().families(l - 1).of_box[std::size_t(b)]) {
         Index3 const pitch = mesh_.box(l, b).strides();
         std::int32_t const child =
             mesh_.offset(l, b) + family.child[0] + family.child[1] * pitch[1] + family.child[2] * pitch[2];
@@ -265,7 +267,7 @@ void Composite::plan_exchanges(int l, OnLevel& level) {
                                 child + 2 * (j * pitch[1] + k * pitch[2]), pitch[1], pitch[2], family.parents[0]});
       }
     std::int32_t to = 0;
-    mesh_.plan(l - 1).finer_means.for_each_asked([&](int, Read const& read) {
+    mesh_.transfer().families(l - 1).means.for_each_asked([&](int, Read const& read) {
       Box const part = read.cells();
       Index3 const pitch = mesh_.level(l).box(read.owner).strides();
       amrpic::for_each_row(part, [&](Index3 const& parent) {
@@ -539,7 +541,7 @@ Real Composite::add(Real scale) {
     OnLevel const &level = levels_[std::size_t(l)], &coarser = levels_[std::size_t(l) - 1];
     average(level.families, level.phi.array(), coarser.phi.array());
     average(level.sent_means, level.phi.array(), coarser.finer_means.sent());
-    coarser.finer_means.pass(mesh_.plan(l - 1).finer_means);
+    coarser.finer_means.pass(mesh_.transfer().families(l - 1).means);
     copy(coarser.received_means, coarser.phi.array(), coarser.finer_means.received(), coarser.phi.array());
   }
   return std::abs(scale) * largest;

@@ -115,7 +115,7 @@ class CompositeLaplacian {
   /// Of lists and buffers on this rank.
   std::size_t bytes() const {
     std::size_t const of_order = means_ ? means_->ghosts.bytes() : points_->ghosts.bytes() + points_->field.bytes();
-    return mesh_.plan().bytes() + average_.bytes() + residual_->bytes() + of_order;
+    return mesh_.plan().bytes() + mesh_.transfer().bytes() + average_.bytes() + residual_->bytes() + of_order;
   }
 
  private:

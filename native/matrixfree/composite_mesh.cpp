@@ -5,7 +5,7 @@
 namespace amrpic {
 
 CompositeMesh::CompositeMesh(std::shared_ptr<Hierarchy const> hierarchy, Real shift, Real3 const& stretch)
-    : hierarchy_(std::move(hierarchy)), shift_(shift), stretch_(stretch), plan_(*hierarchy_) {
+    : hierarchy_(std::move(hierarchy)), shift_(shift), stretch_(stretch), plan_(*hierarchy_), transfer_(hierarchy_) {
   for_each_box([&](int l, int b) {
     for (int d = 0; d < 3; ++d) {
       auto const [u, v] = tangential_axes(d);

@@ -13,7 +13,7 @@ namespace {
 /// A part of a window, in the memory of a box of this rank or as another rank sent it.
 struct Part {
   bool here;
-  Imports::Values values;
+  RemoteReads::Values values;
   Box place;  ///< in the window
 };
 
@@ -75,7 +75,7 @@ std::vector<std::int32_t> first_parents(Level const& level, Index3 const& ratio)
 
 /// The parts of the window of box b that lie in boxes of the level. `first`: of `first_parents`.
 std::vector<Part> find_parts(Hierarchy const& hierarchy, int boxes, int b, Window const& window,
-                             std::vector<std::int32_t> const& first, Imports const& imports) {
+                             std::vector<std::int32_t> const& first, RemoteReads const& imports) {
   Level const& level = hierarchy.level(window.level);
   std::vector<Part> out;
   Box const around = window.around(hierarchy.level(boxes).box(b));
@@ -97,7 +97,7 @@ std::vector<Part> find_parts(Hierarchy const& hierarchy, int boxes, int b, Windo
 }
 
 /// The values of a window, zero where the level has no cells.
-ArrayOnBox<Real> gather(Box const& box, std::vector<Part> const& parts, Real const* own, Imports const& imports) {
+ArrayOnBox<Real> gather(Box const& box, std::vector<Part> const& parts, Real const* own, RemoteReads const& imports) {
   ArrayOnBox<Real> out(box, 0.0);
   for (Part const& p : parts) {
     Real const* from = (p.here ? own : imports.values()) + p.values.from;
@@ -259,7 +259,7 @@ Real composite_truncation(CompositeMesh& mesh, Source const& source, Field const
     Window const rho{of_rho, l, ratio, ratio, beside};
     Window const potential_window =
         l > 0 ? Window{of_phi, l - 1, {1, 1, 1}, ratio, further} : Window{of_phi, 0, ratio, ratio, further};
-    Imports imports;
+    RemoteReads imports;
     for (Window const& window : {rho, potential_window})
       imports.add(window.purpose, reads_of(mesh.hierarchy(), l, window));
     imports.plan(mesh.comm());

@@ -127,8 +127,7 @@ void Layout::measure_halo(int halo) {
     auto& steps = rows_of_.emplace_back();
     for_each_row(box, [&](Index3 const& first) {
       int nearest = std::numeric_limits<std::int8_t>::max();
-      for (Box const& own : near)
-        nearest = std::min(nearest, apart({first, {box.upper[0], first[1], first[2]}}, own));
+      for (Box const& own : near) nearest = std::min(nearest, apart({first, {box.upper[0], first[1], first[2]}}, own));
       steps.push_back(std::int8_t(nearest));
     });
   }

@@ -60,8 +60,8 @@ struct BoxFaces {
 };
 
 /// Call f(box, axis, side, number of the first wall face) for each face of this rank's boxes of a level that lies on a
-/// wall. Wall faces of cells, and the data given on them, are numbered in this order: by axis and side, then box by box,
-/// x fastest in each box.
+/// wall. Wall faces of cells, and the data given on them, are numbered in this order: by axis and side, then box by
+/// box, x fastest in each box.
 template <class F>
 void for_each_wall(Level const& level, F&& f) {
   GlobalIndex first = 0;

@@ -22,8 +22,8 @@ constexpr FitNumber no_fit = 255;      ///< the cell has no ghosts in front of i
 ArrayOnBox<FitNumber> fits_behind(Face const& face, int axis, std::vector<Overlap> const& coarser,
                                   std::vector<Overlap> const& refined);
 
-/// 1 for the usable cells of a region: those of `cells`, parts of it that a level has, without the parents of `refined`,
-/// parts that the next finer level has.
+/// 1 for the usable cells of a region: those of `cells`, parts of it that a level has, without the parents of
+/// `refined`, parts that the next finer level has.
 ArrayOnBox<char> usable_cells(Box const& region, std::vector<Overlap> const& cells,
                               std::vector<Overlap> const& refined);
 

@@ -21,8 +21,8 @@ struct FaceShape {
   Real seam = 1;                          ///< see `seam_factor`
 
   bool operator==(FaceShape const& other) const {
-    return beyond == other.beyond && upper_u == other.upper_u && upper_v == other.upper_v &&
-           fit == other.fit && gap == other.gap && seam == other.seam;
+    return beyond == other.beyond && upper_u == other.upper_u && upper_v == other.upper_v && fit == other.fit &&
+           gap == other.gap && seam == other.seam;
   }
 };
 

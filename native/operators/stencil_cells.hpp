@@ -28,9 +28,11 @@ struct StencilCells {
   // Empty where no coarser cell lies beside the box:
   ArrayOnBox<char> coarse_usable;  ///< parents of the box grown by 1, grown by 2
 
-  // The cells around gaps behind the box's faces, and around its own cells behind finer boxes' faces. Made when they are
-  // asked for.
-  GapCells const& gaps_behind() const { return made(behind_, *level, *beside.coarser, coarse_usable.box(), beside.finer); }
+  // The cells around gaps behind the box's faces, and around its own cells behind finer boxes' faces. Made when they
+  // are asked for.
+  GapCells const& gaps_behind() const {
+    return made(behind_, *level, *beside.coarser, coarse_usable.box(), beside.finer);
+  }
   GapCells const& gaps_before() const { return made(before_, *beside.finer, *level, usable.box(), beside.finest); }
 
   /// Where the cells of the level lie that rows read so far: fits in gaps reach further.

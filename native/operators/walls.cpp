@@ -22,8 +22,8 @@ Walls find_walls(Domain const& domain, Level const& level) {
   for_each_wall(level, [&](int b, int axis, int side, GlobalIndex) {
     Box const& box = level.box(b);
     for_each_cell(box.layer(axis, side, 0), [&](Index3 const& cell) {
-      out.faces.push_back({level.local_offset(b) + LocalIndex(box.offset(cell)), cell, axis, side,
-                           domain.boundary[axis][side]});
+      out.faces.push_back(
+          {level.local_offset(b) + LocalIndex(box.offset(cell)), cell, axis, side, domain.boundary[axis][side]});
     });
   });
   out.datum.assign(out.faces.size(), 0.0);

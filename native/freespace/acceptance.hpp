@@ -18,12 +18,18 @@ struct Options {
   double negligible = 2e-6;     ///< fraction of a box's potential that orders left out may add
   int operator_order = 2;       ///< 4: potentials are means over cells, see `fourth_order.hpp`
   double of_weak = acceptance;  ///< the largest acceptance, of boxes with next to no charge
+  double of_images = 0.25;      ///< the acceptance of blocks of copies: hundreds of charges of one sign, perhaps
+  int doublings = 3;            ///< of such a block, as long as all else is wide, to where a lattice is closed
 
-  /// What goes with an operator. In fourth order the lattice fades by the fourth power of the distance and is left out
-  /// from `lattice_limit` on, where it is 8e-6 of the potential; the rest is about as exact.
-  static Options of_order(int order) {
-    if (order == 4) return {0.3, 16, 1e-7, 2, 2e-7, 4, 0.6};
-    return {};
+  /// What goes with an operator, and with images that repeat along so many axes: what two lattices leave of the
+  /// potential may be little, and images are cheap there. In fourth order the lattice fades by the fourth power of the
+  /// distance and is left out from `lattice_limit` on, where it is 8e-6 of the potential; the rest is about as exact.
+  static Options of(int order, int lattices) {
+    if (order == 4) return {0.3, 16, 1e-7, 2, 2e-7, 4, 0.6, 0.15, 5};
+    Options out;
+    if (lattices > 0) out.acceptance = out.of_weak = lattices > 1 ? 0.35 : 0.45;
+    if (lattices > 0) out.lattice_limit = lattices > 1 ? 12 : 11;
+    return out;
   }
   /// What charge in the first layers of cells at a Dirichlet wall counts at ghosts of open faces beside it, where that
   /// reflects it: the wall's row, which is not that of an odd image, gives it so much of the image's dipole.

@@ -51,10 +51,10 @@ std::vector<double> FreeSpace::walls(WallPlan const& plan, std::vector<ChargeBox
   auto const near = leaves_of_others(plan, builder, blocks);
   Octree tree = builder.finish(children_of_others(plan, builder), plan.geometry().top);
   Images const& images = plan.geometry().mesh.images;
-  add_images(tree, images, which);
+  add_images(tree, images, which, options_);
   std::vector<double> values;
   try {
-    Closing const closing(tree, images, which);
+    Closing const closing(tree, images, which, options_);
     values = evaluate_->at({tree, blocks, near}, closing, plan.patches, plan.is_own);
   } catch (std::exception const& e) {
     if (comm_.ranks() == 1) throw;

@@ -19,6 +19,7 @@ class FreeSpace {
  public:
   FreeSpace(Communicator const& comm, Lattice const& lattice, bool has_images, Options const& options = {});
   Lattice const& lattice() const { return lattice_; }
+  Options const& options() const { return options_; }
 
   /// Who does what on a mesh of this lattice. Local.
   std::shared_ptr<WallPlan const> plan(WallMesh const& mesh) const;

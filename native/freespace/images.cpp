@@ -8,7 +8,6 @@ namespace amrpic::freespace {
 namespace {
 
 constexpr double pi = 3.14159265358979323846;
-constexpr int fewest_doublings = 3;  ///< of a block as long as all else is wide
 
 AxisImages images_of(std::optional<Mirror> const& lower, std::optional<Mirror> const& upper) {
   AxisImages out;
@@ -94,10 +93,10 @@ double Images::longest_period() const {
   return out;
 }
 
-int Images::doublings(int d, double width) const {
+int Images::doublings(int d, double width, int fewest) const {
   double const period = axes_[std::size_t(d)].period * shape_[d];
   if (period == 0) return 0;
-  return fewest_doublings + std::max(0, int(std::ceil(std::log2(std::max(width, longest_period()) / period))));
+  return fewest + std::max(0, int(std::ceil(std::log2(std::max(width, longest_period()) / period))));
 }
 
 double Images::apart(int d, double place, double other) const {
@@ -180,7 +179,7 @@ std::vector<int> parts_of(Octree const& tree, Images const& images) {
 }
 
 /// Add the lattice of the copies of a node.
-void add_lattice(Octree& tree, int number, std::vector<Image> const& copies, Images const& images) {
+void add_lattice(Octree& tree, int number, std::vector<Image> const& copies, Images const& images, int doublings) {
   Point const shape = images.shape();
   Member const given{tree.nodes[std::size_t(number)], tree.moments[std::size_t(number)]};
   std::vector<Joined::Block> blocks;
@@ -204,7 +203,7 @@ void add_lattice(Octree& tree, int number, std::vector<Image> const& copies, Ima
   Cell length{}, left{};
   for (int d = 0; d < 3; ++d) {
     length[d] = images.axis(d).period;
-    left[d] = images.doublings(d, width_across(given.node, images));
+    left[d] = images.doublings(d, width_across(given.node, images), doublings);
   }
   for (;;) {
     int next = -1;
@@ -228,20 +227,22 @@ void add_lattice(Octree& tree, int number, std::vector<Image> const& copies, Ima
 
 }  // namespace
 
-void add_images(Octree& tree, Images const& images, Which which) {
+void add_images(Octree& tree, Images const& images, Which which, Options const& options) {
   tree.tops.clear();
   if (tree.empty()) return;
   auto const copies = images.copies(which);
-  if (images.has_lattice()) tree.repeated = parts_of(tree, images);
+  if (images.lattices() > 0) tree.repeated = parts_of(tree, images);
   for (auto const& together : copies)
-    if (!images.has_lattice())
+    if (images.lattices() == 0)
       tree.tops.push_back({0, together.front()});
     else
-      for (int node : tree.repeated) add_lattice(tree, node, together, images);
+      for (int node : tree.repeated) add_lattice(tree, node, together, images, options.doublings);
 }
 
-Closing::Closing(Octree const& tree, Images const& images, Which which) {
+Closing::Closing(Octree const& tree, Images const& images, Which which, Options const& options)
+    : doublings_(options.doublings) {
   Point const shape = images.shape();
+  if (options.operator_order == 2) h2_ = {shape[0] * shape[0], shape[1] * shape[1], shape[2] * shape[2]};
   int axes = 0;
   for (int d = 0; d < 3; ++d) {
     if (images.axis(d).period == 0) continue;
@@ -258,7 +259,7 @@ Closing::Closing(Octree const& tree, Images const& images, Which which) {
 void Closing::add(Member const& given, Image const& image, Images const& images) {
   Member const member = image_of(given, image, images.shape());
   auto const& m = member.moments;
-  Copy copy{member.node.centre, plain_moments(m).dipole, m[0].re, {}, {}};
+  Copy copy{member.node.centre, plain_moments(m).dipole, m[0].re, member.node.lattice.charge, {}, {}};
   double const m20 = m[harmonic_index(2, 0)].re;
   auto const &m21 = m[harmonic_index(2, 1)], &m22 = m[harmonic_index(2, 2)];
   // Without trace: 3 z^2 - r^2 sums to 4 M20, x z + i y z to 2 M21, x^2 - y^2 to 8 Re M22, x y to 4 Im M22.
@@ -267,7 +268,7 @@ void Closing::add(Member const& given, Image const& image, Images const& images)
                   {2 * m21.re, 2 * m21.im, 4 * m20 / 3}}};
   for (int d = 0; d < 3; ++d) {
     copy.second[std::size_t(d)][std::size_t(d)] -= copy.charge * period_[d] * period_[d] / 12;
-    copy.reach[d] = std::ldexp(period_[d], images.doublings(d, width_across(given.node, images)));
+    copy.reach[d] = std::ldexp(period_[d], images.doublings(d, width_across(given.node, images), doublings_));
   }
   copies_.push_back(copy);
 }
@@ -299,8 +300,21 @@ double Closing::around_axis(Copy const& copy, Point const& x) const {
                           (m[u][u] + m[v][v]) * near +
                           bend * (m[u][u] * x[u] * x[u] + 2 * m[u][v] * x[u] * x[v] + m[v][v] * x[v] * x[v]);
     sum += copy.charge * std::log(a + r) - slope + 0.5 * second;
+    sum -=
+        copy.of_lattice * (h2_[std::size_t(u)] + h2_[std::size_t(v)]) / (16 * r * r);  // of the lattice, where a >> rho
   }
   return -sum / period_[w];
+}
+
+/// Of the fourth derivatives along all axes, each times h^2, of the integral of r over a rectangle of sides u and v
+/// seen from a height z above a corner: -1/24 of it is what the lattice adds to the potential of uniform charge there.
+double of_lattice(double u, double v, double z, Point const& h2) {
+  double const r = std::sqrt(u * u + v * v + z * z), wu = u * u + z * z, wv = v * v + z * z;
+  auto const along = [&](double a, double w) { return u * v / (r * w) * (-3 + a * a / (r * r) + 2 * a * a / w); };
+  auto const up = [&](double w) { return u * v / (r * w) * (1 - z * z / (r * r) - 2 * z * z / w); };
+  // Of the Laplacian of r, 2 / r, along z, less what the others are along it.
+  double const across = 2 * u * v / r * (1 / wu + 1 / wv) + up(wu) + up(wv);
+  return h2[0] * along(u, wu) + h2[1] * along(v, wv) + h2[2] * across;
 }
 
 /// Of what continues a copy in a plane: [-2 pi |z| - sum of F over the four corners] / area, with the distances u and v
@@ -328,6 +342,7 @@ double Closing::beside_plane(Copy const& copy, Point const& x) const {
       double const second = m[p][p] * uu + m[q][q] * vv - m[n][n] * (uu + vv) + 2 * m[p][q] * du * dv / r -
                             2 * up * z * (m[p][n] * du * v / u2 + m[q][n] * dv * u / v2) / r;
       sum += copy.charge * value - slope + 0.5 * second;
+      sum -= copy.of_lattice / 24 * of_lattice(u, v, z, {h2_[p], h2_[q], h2_[n]});
     }
   return -sum / (period_[p] * period_[q]);
 }

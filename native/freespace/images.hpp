@@ -9,6 +9,7 @@
 #include <optional>
 #include <vector>
 
+#include "freespace/acceptance.hpp"
 #include "freespace/octree.hpp"
 
 namespace amrpic::freespace {
@@ -44,10 +45,12 @@ class Images {
   std::vector<std::vector<Image>> copies(Which which) const;
   /// The longest period, and 0 without any; in units of the smallest spacing.
   double longest_period() const;
-  /// How often a block of copies doubles along an axis, of charge so wide; 0 where there is no lattice.
-  int doublings(int d, double width) const;
+  /// How often a block of copies doubles along an axis, of charge so wide, `fewest` times where all is as wide as it is
+  /// long; 0 where there is no lattice.
+  int doublings(int d, double width, int fewest) const;
   Point const& shape() const { return shape_; }
-  bool has_lattice() const { return axes_[0].period > 0 || axes_[1].period > 0 || axes_[2].period > 0; }
+  /// The number of axes along which they repeat, at most two where a face is open.
+  int lattices() const { return int(axes_[0].period > 0) + int(axes_[1].period > 0) + int(axes_[2].period > 0); }
   /// Distance along an axis between a place and the nearest image of another one; in units of the smallest spacing.
   double apart(int d, double place, double other) const;
 
@@ -60,7 +63,7 @@ class Images {
 
 /// Let a tree begin with its images: `tops`. Of charge that is far longer across lattices than these repeat after each
 /// part has its own one. All ranks have the same ones, since all know the nodes at the top.
-void add_images(Octree& tree, Images const& images, Which which);
+void add_images(Octree& tree, Images const& images, Which which, Options const& options);
 
 /// What the copies of a lattice that are further away than its blocks reach make: these as a uniform continuation, with
 /// the deviation of each copy from it (Euler and Maclaurin), to second order.
@@ -70,7 +73,7 @@ void add_images(Octree& tree, Images const& images, Which which);
 class Closing {
  public:
   /// `tree`: with its images.
-  Closing(Octree const& tree, Images const& images, Which which);
+  Closing(Octree const& tree, Images const& images, Which which, Options const& options);
 
   bool is_empty() const { return copies_.empty(); }
   /// 4 pi times the potential, lengths in units of the smallest spacing.
@@ -80,7 +83,7 @@ class Closing {
   /// A copy of all charge: its moments about the centre.
   struct Copy {
     Point centre, dipole;
-    double charge;
+    double charge, of_lattice;                    ///< as `LatticeMoments`
     std::array<std::array<double, 3>, 3> second;  ///< sum q x x, without trace, less what a uniform period has
     Point reach;                                  ///< of blocks to either side
   };
@@ -88,10 +91,11 @@ class Closing {
   double around_axis(Copy const& copy, Point const& from_centre) const;
   double beside_plane(Copy const& copy, Point const& from_centre) const;
 
+  int doublings_;
   std::vector<Copy> copies_;
   std::array<int, 2> along_{-1, -1};  ///< the lattice axes
   int normal_ = -1;                   ///< of a plane of two
-  Point period_{};
+  Point period_{}, h2_{};
 };
 
 }  // namespace amrpic::freespace

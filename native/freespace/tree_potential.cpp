@@ -290,8 +290,8 @@ double TreePotential::weakness(Octree const& tree, TreeNode const& node) const {
 /// nodes with less charge may be nearer.
 double TreePotential::far_limit(Octree const& tree, TreeNode const& node) const {
   if (node.copies > 0)
-    return past_ties * std::max(options_.lattice_limit * longest_spacing_ * node.coarsest,
-                                node.radius / std::min(options_.acceptance, acceptance_of_images));
+    return past_ties *
+           std::max(options_.lattice_limit * longest_spacing_ * node.coarsest, node.radius / options_.of_images);
   double const least = options_.acceptance / options_.of_weak;
   double const factor = std::max(least, std::pow(weakness(tree, node), 1.0 / (order + 1)));
   return factor * freespace::far_limit(options_, node.radius, longest_spacing_ * node.coarsest);
@@ -414,7 +414,7 @@ Interactions::Far TreePotential::multipole(Octree const& tree, int n, double dis
     out.highest = l - 1;
   }
   double const negligible = lattice_negligible * longest_spacing_ * node.coarsest;
-  out.on_lattice = distance2 < negligible * negligible;
+  out.on_lattice = !tree.copies.empty() || distance2 < negligible * negligible;
   return out;
 }
 

@@ -193,7 +193,7 @@ WallCounts count(WallPlan const& plan, Options const& options, std::vector<Charg
   TreePotential const potential(geometry.mesh.lattice, int(geometry.mesh.levels.size()) - 1, !images.are_none(),
                                 options);
   Octree tree = builder.finish(nodes, geometry.top);
-  add_images(tree, images, Which::all);
+  add_images(tree, images, Which::all, options);
   for (auto const& of_patch : potential.interactions(tree, plan.patches, plan.is_own))
     for (Interactions const& seen : of_patch) {
       out.far += count_of(seen.far);

@@ -21,8 +21,9 @@ GhostRules ghost_rules_of(MultigridLevels const& multigrid, OpenWalls const& ope
   Level const* finer = l + 1 < multigrid.levels.size() ? multigrid.levels[l + 1].get() : nullptr;
   out.more = [&multigrid, &open_walls, l, fully_covered, finer](Index3 const& cell, int axis, int side) -> Real {
     if (multigrid.boundary[axis][side] != Boundary::open) return 0;
-    bool const covered = fully_covered || (finer && finer->find({2 * cell[0], 2 * cell[1], 2 * cell[2]}) >= 0);
-    return covered ? open_walls.first(l, cell, axis, side) : 0;
+    Index3 const own = multigrid.levels[l]->wrapped(cell);
+    bool const covered = fully_covered || (finer && finer->find({2 * own[0], 2 * own[1], 2 * own[2]}) >= 0);
+    return covered ? open_walls.first(l, own, axis, side) : 0;
   };
   return out;
 }

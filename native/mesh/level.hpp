@@ -42,6 +42,12 @@ class Level {
       if (!periodic_[d]) cell[d] = std::max(domain_.lower[d], std::min(domain_.upper[d], cell[d]));
     return cell;
   }
+  /// The cell itself, or the cell in the domain that one behind a periodic face is an image of.
+  Index3 wrapped(Index3 cell) const {
+    for (int d = 0; d < 3; ++d)
+      if (periodic_[d]) cell[d] -= floor_divide(cell[d] - domain_.lower[d], domain_.extent(d)) * domain_.extent(d);
+    return cell;
+  }
   /// The part of a box that lies behind no wall.
   Box cut_at_walls(Box box) const {
     for (int d = 0; d < 3; ++d) {

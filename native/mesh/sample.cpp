@@ -7,14 +7,6 @@ namespace amrpic {
 
 namespace {
 
-/// A cell brought into the domain: wrapped along periodic axes, else the nearest inside.
-Index3 into_domain(Level const& level, Index3 const& cell) {
-  Index3 out = level.fold_at_walls(cell);
-  for (int d = 0; d < 3; ++d)
-    if (level.periodic()[d]) out[d] -= floor_divide(out[d], level.domain().extent(d)) * level.domain().extent(d);
-  return out;
-}
-
 /// Cell of a level at a point, before wrapping.
 Index3 cell_at(Domain const& domain, Level const& level, Real3 const& point) {
   Index3 cell;
@@ -60,7 +52,7 @@ Real local_part(Field const& field, int l, Index3 const& home, Real3 const& poin
       if (other) cell[d] += step[d];
       weight *= other ? far[d] : 1 - far[d];
     }
-    Index3 const found = into_domain(level, cell);
+    Index3 const found = level.wrapped(level.fold_at_walls(cell));
     int const b = level.find(found);
     if (b < 0) {
       Real3 centre;
@@ -84,7 +76,7 @@ std::vector<Real> sample(Field const& field, std::vector<Real3> const& points) {
     for (int l = hierarchy.level_count() - 1; l >= 0; --l) {
       Level const& level = hierarchy.level(l);
       Index3 const home = cell_at(hierarchy.domain(), level, point);
-      if (level.find(into_domain(level, home)) < 0) continue;
+      if (level.find(level.wrapped(level.fold_at_walls(home))) < 0) continue;
       values[p] = local_part(field, l, home, point);
       break;
     }

@@ -27,7 +27,7 @@ bool refines_open_wall(MultigridLevels const& multigrid) {
 
 Real OpenWalls::first(std::size_t l, Index3 const& cell, int axis, int side) const {
   Real const own = multigrid_.levels[l]->spacing()[axis];
-  Real const finest = refined_[axis][side] ? finest_spacing(l, cell, axis, side)
+  Real const finest = refined_[axis][side] ? finest_spacing(l, multigrid_.levels[l]->wrapped(cell), axis, side)
                                            : std::min(own, multigrid_.levels[multigrid_.base]->spacing()[axis]);
   Real const wall = side == 0 ? 0.5 : multigrid_.upper[l][axis].wall;
   return ghost_that_vanishes(wall + 0.5 * finest / own);

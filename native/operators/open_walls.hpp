@@ -17,7 +17,8 @@ class OpenWalls {
   explicit OpenWalls(MultigridLevels const& multigrid);
 
   /// Factor of the first cell inside in the ghost of a correction behind an open wall. The correction vanishes h / 2
-  /// behind the wall, h the mean spacing of the finest cells at that part of it. Zero where nothing is finer.
+  /// behind the wall, h the mean spacing of the finest cells at that part of it. Zero where nothing is finer. The cell
+  /// may be an image behind a periodic face.
   Real first(std::size_t l, Index3 const& cell, int axis, int side) const;
 
  private:

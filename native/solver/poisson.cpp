@@ -48,15 +48,15 @@ PoissonSolver::PoissonSolver(std::shared_ptr<Hierarchy const> hierarchy, SolverO
 }
 
 void PoissonSolver::plan_open_walls() {
-  freespace::Options const of_order = freespace::Options::of_order(options_.order);
-  int const layers = of_order.layers();
+  int const layers = freespace::Options::of(options_.order, 0).layers();
   freespace::Across across = options_.across;
   if (across.axis >= 0)
     for (Real& place : across.place) place *= options_.stretch[across.axis];
   freespace::WallMesh const mesh = freespace::wall_mesh(*hierarchy_, layers, across);
+  bool const has_images = !mesh.images.are_none();
   if (!reusable_.free_space)
-    reusable_.free_space =
-        std::make_shared<freespace::FreeSpace>(hierarchy_->comm(), mesh.lattice, !mesh.images.are_none(), of_order);
+    reusable_.free_space = std::make_shared<freespace::FreeSpace>(
+        hierarchy_->comm(), mesh.lattice, has_images, freespace::Options::of(options_.order, mesh.images.lattices()));
   wall_plan_ = reusable_.free_space->plan(mesh);
   for (int l = 0; l < hierarchy_->level_count(); ++l) {
     if (layers > 1) walls_[l].second.assign(walls_[l].faces.size(), 0.0);
@@ -71,8 +71,7 @@ void PoissonSolver::plan_open_walls() {
 }
 
 void PoissonSolver::set_open_walls(Field const& rho, freespace::Which which) {
-  auto charges =
-      freespace::charges_of(rho, *hierarchy_, 1 / vacuum_permittivity, freespace::Options::of_order(options_.order));
+  auto charges = freespace::charges_of(rho, *hierarchy_, 1 / vacuum_permittivity, reusable_.free_space->options());
   auto box = charges.begin();
   for (auto& level : backend_->beside_coarse_faces(rho))
     for (auto& of_box : level) {

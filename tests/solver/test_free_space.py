@@ -9,24 +9,16 @@ import itertools
 
 import numpy as np
 import pytest
-import scipy.fft
 from mpi4py import MPI
 from scipy.special import erf
 
 from amrpic import Domain, Field, Hierarchy, PoissonSolver
-from amrpic._native import (
-    FreeSpace,
-    kernel_table_bytes,
-    lattice_green,
-    multipole_moments,
-    translate_moments,
-)
+from amrpic._native import kernel_table_bytes, lattice_green, multipole_moments, translate_moments
 from amrpic.verify.lattice import FreeLattice
 from amrpic.verify.meshes import Mesh
 from amrpic.verify.sources import EPS0, Gaussian, fill
-
-ALL_OPEN = [True] * 6
-
+from lattice_between_faces import ghosts_of, solved
+from open_walls import density, greatest_difference, mesh, noise, own_walls, planes_of, walls, with_patch
 
 # ---- the reference ----
 
@@ -36,74 +28,9 @@ def exact_48():
     return FreeLattice((48, 48, 48))
 
 
-def ghost_planes(potential):
-    """The six layers of ghost cells, (lower axis, upper axis)."""
-    inner = potential[1:-1, 1:-1, 1:-1].shape
-    cells = [slice(1, n + 1) for n in inner]
-    out = []
-    for axis, end in itertools.product(range(3), (0, -1)):
-        out.append(potential[tuple(end if d == axis else cells[d] for d in range(3))])
-    return out
-
-
 def field(charges, planes):
     """Potential and E on unit cells, solved with given ghost values."""
-    rhs = charges.copy()
-    padded = np.zeros([n + 2 for n in charges.shape])
-    inner = (slice(1, -1),) * 3
-    for (axis, end), plane in zip(itertools.product(range(3), (0, -1)), planes, strict=True):
-        rhs[tuple(end if d == axis else slice(None) for d in range(3))] += plane
-        padded[tuple(end if d == axis else slice(1, -1) for d in range(3))] = plane
-    modes = [2 - 2 * np.cos(np.pi * np.arange(1, n + 1) / (n + 1)) for n in charges.shape]
-    symbol = modes[0][:, None, None] + modes[1][:, None] + modes[2]
-    padded[inner] = scipy.fft.idstn(scipy.fft.dstn(rhs, type=1) / symbol, type=1)
-    e = [(np.roll(padded, 1, axis) - np.roll(padded, -1, axis))[inner] / 2 for axis in range(3)]
-    return padded[inner], np.array(e)
-
-
-# ---- the code under test ----
-
-
-def mesh(cells, spacing=(1.0, 1.0, 1.0), refined=(), comm=MPI.COMM_SELF, boundary="open", **kwargs):
-    """A hierarchy with `refined` boxes of level 1, all cut on any pair of cells."""
-    domain = Domain((0, 0, 0), tuple(n * h for n, h in zip(cells, spacing, strict=True)), cells, boundary)
-    return Hierarchy(comm, domain, [list(refined)] if refined else [], **{"blocking_factor": 2, **kwargs})
-
-
-def density(hierarchy, *charges):
-    """The density of charges given on all cells of each level, (x, y, z)."""
-    out = Field(hierarchy)
-    for patch in out.patches:
-        inside = tuple(slice(a, b + 1) for a, b in zip(patch.lower, patch.upper, strict=True))
-        patch.data[...] = charges[patch.level][inside] / np.prod(hierarchy.spacing(patch.level))
-    return out
-
-
-def own_walls(rho, **kwargs):
-    """Per level the faces, cells and values behind this rank's open walls."""
-    return FreeSpace(rho.hierarchy.native, **kwargs).walls(rho.native)
-
-
-def planes_of(rho, level=0, **kwargs):
-    """Values behind the six walls, (lower axis, upper axis), of all ranks; nan where there are none. Collective."""
-    faces, cells, values = own_walls(rho, **kwargs)[level]
-    extent = np.array(rho.hierarchy.domain.cells) << level
-    out = []
-    for face in range(6):
-        axes = [d for d in range(3) if d != face // 2]
-        plane = np.full(extent[axes], -np.inf)
-        plane[tuple(cells[faces == face][:, axes].T)] = values[faces == face]
-        rho.hierarchy.comm.Allreduce(MPI.IN_PLACE, plane, op=MPI.MAX)
-        out.append(np.where(np.isinf(plane), np.nan, plane))
-    return out
-
-
-def walls(charges, spacing=(1.0, 1.0, 1.0), **kwargs):
-    return planes_of(density(mesh(charges.shape, spacing), charges), **kwargs)
-
-
-def greatest_difference(planes, others):
-    return max(np.abs(a - b).max() for a, b in zip(planes, others, strict=True))
+    return solved(charges, (1.0, 1.0, 1.0), (("open", "open"),) * 3, planes)
 
 
 # ---- sources on [-1.04, 1.04]^3 ----
@@ -240,20 +167,20 @@ def test_moved_moments_are_those_about_the_new_centre():
 def test_wall_values_are_those_of_the_infinite_lattice(source, exact_48):
     charges = SOURCES[source](48)
     expected = exact_48(charges)
-    assert greatest_difference(walls(charges), ghost_planes(expected)) < 6e-5 * np.abs(expected).max()
+    assert greatest_difference(walls(charges), ghosts_of(expected)) < 6e-5 * np.abs(expected).max()
 
 
 def test_wall_values_of_a_train_on_a_finer_lattice():
     charges = SOURCES["train on the diagonal"](96)
     expected = FreeLattice((96, 96, 96))(charges)
-    assert greatest_difference(walls(charges), ghost_planes(expected)) < 6e-5 * np.abs(expected).max()
+    assert greatest_difference(walls(charges), ghosts_of(expected)) < 6e-5 * np.abs(expected).max()
 
 
 @pytest.mark.parametrize("cell", [(0, 24, 24), (0, 5, 16), (0, 0, 0), (47, 46, 3)])
 def test_field_of_one_charge_in_the_outermost_layer(cell, exact_48):
     charges = np.zeros((48, 48, 48))
     charges[cell] = 1
-    planes = ghost_planes(exact_48(charges))
+    planes = ghosts_of(exact_48(charges))
     _, expected = field(charges, planes)
     _, e = field(charges, walls(charges))
     assert np.abs(e - expected).max() < 1e-4 * np.abs(expected).max()
@@ -268,13 +195,13 @@ def test_no_narrow_peak_hides_behind_a_wide_one(exact_48):
         cell[rng.integers(3)] = 0
         charges[tuple(cell)] += 3e-4
         expected = exact_48(charges)
-        assert greatest_difference(walls(charges), ghost_planes(expected)) < 4e-5 * np.abs(expected).max()
+        assert greatest_difference(walls(charges), ghosts_of(expected)) < 4e-5 * np.abs(expected).max()
 
 
 def test_random_charge_along_a_wall(exact_48):
     charges = np.zeros((48, 48, 48))
     charges[:, :6] = np.random.default_rng(3).standard_normal((48, 6, 48))
-    planes = ghost_planes(exact_48(charges))
+    planes = ghosts_of(exact_48(charges))
     expected, _ = field(charges, planes)
     assert greatest_difference(walls(charges), planes) < 4e-4 * np.abs(expected).max()
 
@@ -295,7 +222,7 @@ def test_only_open_walls_are_computed():
 def test_boxes_of_any_shape(cells):
     charges = np.random.default_rng(2).random(cells) ** 4
     expected = FreeLattice(cells)(charges)
-    assert greatest_difference(walls(charges), ghost_planes(expected)) < 5e-5 * np.abs(expected).max()
+    assert greatest_difference(walls(charges), ghosts_of(expected)) < 5e-5 * np.abs(expected).max()
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 10.0), (10.0, 1.0, 1.0), (3.0, 1.0, 2.0)])
@@ -305,14 +232,14 @@ def test_cells_that_are_not_cubes(spacing):
     charges[3:20, 5:15, 10:30] = np.random.default_rng(4).random((17, 10, 20))
     charges[0, 3, 39] = 30
     expected = FreeLattice(cells, spacing)(charges)
-    assert greatest_difference(walls(charges, spacing), ghost_planes(expected)) < 2e-4 * np.abs(expected).max()
+    assert greatest_difference(walls(charges, spacing), ghosts_of(expected)) < 2e-4 * np.abs(expected).max()
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 10.0), (10.0, 1.0, 1.0)])
 def test_long_cells_with_charge_all_over(spacing):
     charges = np.random.default_rng(6).random((40, 40, 40)) ** 8
     expected = FreeLattice(charges.shape, spacing)(charges)
-    assert greatest_difference(walls(charges, spacing), ghost_planes(expected)) < 5e-5 * np.abs(expected).max()
+    assert greatest_difference(walls(charges, spacing), ghosts_of(expected)) < 5e-5 * np.abs(expected).max()
 
 
 @pytest.mark.parametrize("charge", [1e-30, 1e3])
@@ -331,15 +258,6 @@ def test_interpolation_over_patches_adds_nothing_that_is_seen(source, exact_48):
 
 
 # ---- refined charge ----
-
-
-def with_patch(fine, lower, upper, shape=(1, 1, 1), comm=MPI.COMM_SELF, **kwargs):
-    """The density of charges given on fine cells, on a patch of these (base cells lower .. upper) and base cells around it;
-    the domain has edges of `shape`."""
-    n = fine.shape[0] // 2
-    base = fine.reshape(n, 2, n, 2, n, 2).sum((1, 3, 5))
-    patch = (tuple(2 * a for a in lower), tuple(2 * b + 1 for b in upper))
-    return density(mesh((n, n, n), np.array(shape) / n, [patch], comm, **kwargs), base, fine)
 
 
 def point_charges(rho):
@@ -407,10 +325,6 @@ def test_interpolation_across_long_cells_adds_nothing_that_is_seen(shape):
 
 
 # ---- ranks ----
-
-
-def noise(shape):
-    return np.random.default_rng(5).random(shape) ** 8
 
 
 def one_corner(shape):

@@ -25,6 +25,7 @@ import numpy as np
 from fuzz_case import TOLERANCE, Case, Outcome
 from fuzz_draw import LARGE, SMALL, Size, draw, plainer
 from fuzz_pool import SANITIZED, Broken, Pool
+from lattice_between_faces import LatticeBetweenFaces, counted_at_ghosts, ghost_errors
 
 # Goals: aspect ratio of the cells up to which so many cycles to 1e-10 are allowed.
 CYCLE_LIMITS = ((1.0, 9), (10.0, 12), (math.inf, 16))
@@ -45,12 +46,16 @@ BYTES_PER_CELL, BYTES_PER_BOX, BYTES_PER_FIT, BYTES_FREE = 100, 4000, 168 * 40, 
 BYTES_OF_ACCELERATION = 128  # per cell
 BYTES_PER_ROW = 4000  # of a domain a few cells wide and long: rows are padded, and each has neighbours and coefficients
 
+# Ghosts at open faces of one level, and the potential and field that they make, against the lattice; of the largest values.
+LATTICE_BOUNDS = {"ghosts": 1.5e-4, "phi": 1e-4, "field": 3e-4}
+LATTICE_CELLS = 40_000  # for more the exact potential takes long
+
 # Refusals that are documented: of cells for which there is no method or no memory.
 REFUSALS = (
     "too much for the table of the lattice Green's function",
     "give the base numbers of cells with more factors of two",
 )
-GOALS = ("unconverged", "phi", "memory", "cycles differ", "cycles")  # failures that are no crash
+GOALS = ("unconverged", "phi", "lattice", "memory", "cycles differ", "cycles")  # failures that are no crash
 PER_POOL = 50  # cases before the processes are started anew with another instruction set
 TIMEOUT = {SMALL: 30.0, LARGE: 120.0}
 
@@ -169,6 +174,10 @@ def judge(case: Case, found: Outcome, plain: Outcome) -> tuple[list[Failure], fl
         difference = worst / plain.largest_phi if plain.largest_phi else worst
         if found.converged and plain.converged and worst > (bound := allowed_difference(case, plain)):
             fail("phi", f"differs by {worst:.2e} V, allowed are {bound:.2e} V, largest {plain.largest_phi:.2e} V")
+    if found.ghosts is not None and case.total_cells <= LATTICE_CELLS:
+        errors = lattice_errors(case, found.ghosts)
+        if not all(errors[name] <= bound for name, bound in LATTICE_BOUNDS.items()):
+            fail("lattice", ", ".join(f"{name} {error:.1e}" for name, error in errors.items()))
     for name, outcome, matrix_free in (("", found, case.backend == "matrix-free"), ("reference: ", plain, True)):
         per_cell = BYTES_PER_CELL + BYTES_OF_ACCELERATION * outcome.accelerated
         boxes = outcome.boxes * (2 if case.levels and case.aspect_ratio > 1.8 else 1)
@@ -193,6 +202,13 @@ def judge(case: Case, found: Outcome, plain: Outcome) -> tuple[list[Failure], fl
         if cycles > (most_cycles := allowed_cycles(case, outcome)):
             fail("cycles", f"{name}{cycles} cycles, at most {most_cycles}: {shown(outcome.residuals)}")
     return failures, difference
+
+
+def lattice_errors(case: Case, ghosts: Sequence[np.ndarray]) -> dict[str, float]:
+    """Those of ghosts against the exact lattice potential; of values that charge of one sign would make."""
+    counted = counted_at_ghosts(case.charges(), case.boundary)
+    lattice = LatticeBetweenFaces(case.cells, case.spacing, case.boundary)
+    return ghost_errors(ghosts, *lattice(np.array([counted, abs(counted)])), case.spacing, case.boundary)
 
 
 def shown(residuals: Sequence[float]) -> str:
@@ -254,7 +270,7 @@ class Fuzzer:
         found, plain = outcomes
         judged, difference = judge(case, found, plain)
         failures = [failure for failure in judged if failure.kind not in self.ignored]
-        found.phi = plain.phi = None
+        found.phi = plain.phi = found.ghosts = plain.ghosts = None
         return Result(number, case, found, plain, broken + failures, difference)
 
     def shrunk(self, result: Result, seconds: float = 60.0) -> Result:

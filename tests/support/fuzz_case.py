@@ -64,6 +64,10 @@ class Case:
         return all(face in ("neumann", "periodic") for pair in self.boundary for face in pair)
 
     @property
+    def has_open(self) -> bool:
+        return any("open" in pair for pair in self.boundary)
+
+    @property
     def total_cells(self) -> int:
         refined = [b for level in self.levels for b in level]
         return int(np.prod(self.cells)) + sum(int(np.prod(np.subtract(upper, lower) + 1)) for lower, upper in refined)
@@ -83,6 +87,13 @@ class Case:
             uncovered += coarse - refined // 8
             coarse = refined
         return min(faces, 3 * min(2, self.ranks) * uncovered)
+
+    def charges(self) -> np.ndarray:
+        """Charge over ε₀ in each cell of the base, (nx, ny, nz)."""
+        h = 1 / np.array(self.cells)
+        x, y, z = np.ix_(*((np.arange(n) + 0.5) / n for n in self.cells))
+        values = eval(self.source, {"np": np, "x": x, "y": y, "z": z, "h": h})
+        return np.broadcast_to(values, self.cells) * float(np.prod(self.spacing))
 
     def plain(self) -> Case:
         """The same problem on one rank, matrix-free, in boxes of the default size: the reference."""
@@ -182,6 +193,9 @@ class Outcome:
     seconds: float = 0.0
     largest_phi: float = 0.0
     phi: Sequence[np.ndarray] | None = None  # per level, in the order of the cells
+    ghosts: Sequence[np.ndarray] | None = (
+        None  # behind the six faces, where there is one level; nan if they are not open
+    )
 
 
 def solve(comm: Any, case: Case, wants_phi: bool = True) -> Outcome:
@@ -215,6 +229,10 @@ def solve(comm: Any, case: Case, wants_phi: bool = True) -> Outcome:
     out.largest_phi = phi.max_abs()
     if wants_phi:
         out.phi = _in_order(comm, phi)
+        if case.has_open and not case.levels:
+            from open_walls import density, planes_of
+
+            out.ghosts = planes_of(density(phi.hierarchy, case.charges()))
     return out
 
 

@@ -52,11 +52,11 @@ LARGE = Size(fewest=2_000, most=300_000, rows=30_000, open_aspect=100)
 
 
 def draw(seed: int, number: int, size: Size) -> Case:
-    """Case `number` of a seed; in every fourth little holds the potential."""
+    """Case `number` of a seed; in every fourth little holds the potential, in another one faces are open beside others."""
     rng = np.random.default_rng([seed, number])
     if number % 4 == 3:
         return draw_nearly_free(rng, size)
-    boundary = draw_boundary(rng)
+    boundary = draw_open_beside_others(rng) if number % 4 == 1 else draw_boundary(rng)
     backend = "crs" if rng.random() < 0.2 else "matrix-free"
     most = round(math.exp(rng.uniform(math.log(size.fewest), math.log(size.most))))
     most = min(most, size.rows) if backend == "crs" else most
@@ -139,7 +139,7 @@ def draw_extents(rng: np.random.Generator, most: int) -> tuple[int, int, int]:
 
 
 def draw_boundary(rng: np.random.Generator) -> Faces:
-    """One kind all around, or any legal pairs: periodic faces come in pairs, and not together with open ones."""
+    """One kind all around, or any pairs of Dirichlet, Neumann and, of one of these two kinds, open or periodic faces."""
     if rng.random() < 0.6:
         kind = str(rng.choice(["open", "dirichlet", "dirichlet", "neumann", "periodic"]))
         return ((kind, kind),) * 3
@@ -151,6 +151,16 @@ def draw_boundary(rng: np.random.Generator) -> Faces:
             first = second = "periodic"
         pairs.append((first, second))
     return pairs[0], pairs[1], pairs[2]
+
+
+def draw_open_beside_others(rng: np.random.Generator) -> Faces:
+    """Any pairs, of which one face at least is open and not all are; periodic faces come in pairs."""
+    kinds = ["open", "open", "dirichlet", "neumann", "periodic"]
+    while True:
+        pairs = [tuple(str(kind) for kind in rng.choice(kinds, 2)) for _ in range(3)]
+        pairs = [("periodic",) * 2 if "periodic" in pair else pair for pair in pairs]
+        if 0 < sum(face == "open" for pair in pairs for face in pair) < 6:
+            return pairs[0], pairs[1], pairs[2]  # type: ignore[return-value]
 
 
 def draw_edges(rng: np.random.Generator, longest: float) -> np.ndarray:

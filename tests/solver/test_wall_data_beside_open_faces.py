@@ -1,0 +1,270 @@
+"""Potentials on Dirichlet faces and slopes on Neumann faces that meet open faces: the wall goes on beyond these.
+
+There it has the constant potential that it is given at its rim, or no slope.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from scipy.special import j0
+
+from amrpic import Domain, Field, Hierarchy, PoissonSolver
+from amrpic.verify.errors import errors, observed_order
+from amrpic.verify.sources import Gaussian, fill
+
+AXES = "xyz"
+WIDTH = 0.1  # of the bumps, m
+
+
+def cube(n, boundary, refined=(), comm=MPI.COMM_SELF, max_grid_size=32, depth=1):
+    """The unit cube, or a part of it along z; faces of axes that `boundary` does not name are open."""
+    domain = Domain((0, 0, 0), (1, 1, depth), (n, n, round(n * depth)), boundary)
+    return Hierarchy(comm, domain, [list(refined)] if refined else [], max_grid_size=max_grid_size, blocking_factor=2)
+
+
+def solve(hierarchy, values=None, slopes=None, source=None):
+    """φ and E with data on walls."""
+    rho = Field(hierarchy)
+    if source is not None:
+        fill(rho, source)
+    solver = PoissonSolver(hierarchy)
+    phi, report = solver.solve(rho, boundary_values=values, boundary_flux=slopes)
+    assert report.converged, report.reason
+    return phi, solver.electric_field(phi)
+
+
+def at_wall(n, axis):
+    """A refined patch in the middle of the lower wall along an axis."""
+    lower, upper = [n // 2] * 3, [3 * n // 2 - 1] * 3
+    lower[axis], upper[axis] = 0, n - 1
+    return [(tuple(lower), tuple(upper))]
+
+
+# ---- constants ----
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("side", (0, 1))
+def test_one_plane_at_a_potential_makes_no_field(axis, side):
+    pair = ("dirichlet", "open") if side == 0 else ("open", "dirichlet")
+    hierarchy = cube(16, {AXES[axis]: pair}, at_wall(16, axis))
+    phi, field = solve(hierarchy, values=lambda x, y, z: 7.0 + 0 * x * y * z)
+    assert errors([phi], lambda x, y, z: 7.0 + 0 * x * y * z)[1] < 1e-8
+    assert max(component.max_abs() for component in field.components) < 1e-8 * 7 * 32
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("others", ["open", "neumann", "periodic"])
+def test_field_between_two_plates_is_uniform_up_to_open_faces(axis, others):
+    boundary = {AXES[axis]: "dirichlet", AXES[(axis + 1) % 3]: others}
+    hierarchy = cube(16, boundary, at_wall(16, axis))
+    low, high = -3.0, 5.0
+
+    def exact(*places):
+        return low + (high - low) * places[axis] + 0 * sum(places)
+
+    phi, field = solve(hierarchy, values=exact)
+    assert errors([phi], exact)[1] < 1e-8
+    expected = [np.zeros(()), np.zeros(()), np.zeros(())]
+    expected[axis] = np.array(low - high)
+    assert errors(field.components, lambda *x: tuple(e + 0 * sum(x) for e in expected))[1] < 1e-7
+
+
+@pytest.mark.parametrize(
+    "boundary",
+    [
+        {"z": ("dirichlet", "open")},
+        {"x": ("open", "dirichlet"), "z": ("dirichlet", "open"), "y": "periodic"},
+        {"x": "dirichlet", "y": ("dirichlet", "neumann")},
+        {"x": "dirichlet", "y": "dirichlet", "z": ("dirichlet", "open")},
+    ],
+    ids=["plane", "edge", "pipe", "five walls"],
+)
+def test_one_potential_of_all_walls_is_added_to_that_of_the_charge(boundary):
+    hierarchy = cube(16, boundary, at_wall(16, 2))
+    source = Gaussian((0.08,) * 3, (0.5, 0.5, 0.4))
+    grounded, _ = solve(hierarchy, source=source)
+    raised, _ = solve(hierarchy, values=lambda x, y, z: 4.0 + 0 * x * y * z, source=source)
+    assert max_difference(raised, grounded, 4.0) < 1e-8 * 4
+
+
+def max_difference(field, other, constant):
+    return max(np.abs(a.data - b.data - constant).max() for a, b in zip(field.patches, other.patches, strict=True))
+
+
+@pytest.mark.parametrize(("walls", "most"), [("xz", 2.5e-3), ("xyz", 4e-3)], ids=["edge", "corner"])
+def test_planes_of_different_potentials_that_meet(walls, most):
+    """Four cells and more from where they meet: the potential jumps there."""
+    n, volts = 32, {"x": 2.0, "y": -1.0, "z": 0.5}
+
+    def exact(x, y, z):
+        if "y" not in walls:
+            return volts["z"] + (volts["x"] - volts["z"]) * 2 / np.pi * np.arctan2(z, x) + 0 * y
+        r = np.sqrt(x**2 + y**2 + z**2)
+        angles = {"x": np.arctan(y * z / (x * r)), "y": np.arctan(x * z / (y * r)), "z": np.arctan(x * y / (z * r))}
+        return sum(2 / np.pi * volts[axis] * angle for axis, angle in angles.items())
+
+    def on_walls(*places):
+        return np.select([places[AXES.index(axis)] == 0 for axis in walls], [volts[axis] for axis in walls])
+
+    phi, _ = solve(cube(n, dict.fromkeys(walls, ("dirichlet", "open"))), values=on_walls)
+    worst = 0.0
+    for patch in phi.patches:
+        places = patch.centres()
+        depth = np.sort(np.stack(np.broadcast_arrays(*(places[AXES.index(axis)] for axis in walls))), axis=0)
+        away = np.hypot(depth[0], depth[1]) > 4 / n
+        worst = max(worst, np.abs(patch.data - exact(*places))[away].max())
+    assert worst < most * np.ptp([volts[axis] for axis in walls])
+
+
+# ---- data that vanish towards the rim ----
+
+
+def bump(*across):
+    return np.exp(-sum((a - 0.5) ** 2 for a in across) / (2 * WIDTH**2))
+
+
+def spread_bump(depth, radius, power):
+    """∫ s² kᵖ exp(-k²s²/2) J₀(kρ) exp(-kz) dk: below a plane with this potential (p = 1) or slope (p = 0)."""
+    x, w = np.polynomial.legendre.leggauss(120)
+    total = 0.0
+    for k, weight in zip((x + 1) * 4.5 / WIDTH, w * 4.5 / WIDTH, strict=True):
+        total = total + weight * WIDTH**2 * k**power * np.exp(-((k * WIDTH) ** 2) / 2) * j0(k * radius) * np.exp(
+            -k * depth
+        )
+    return total
+
+
+def check_order_two(cells, found):
+    """Errors (L2, max) on meshes of so many cells."""
+    assert found[-1][1] < 2.2e-3 and observed_order(cells, [of_mesh[0] for of_mesh in found]) > 1.9, found
+
+
+def beside(kind, axis, side):
+    """A bump of potential or slope on one face, which it goes through, and the potential that it makes."""
+
+    def on_face(*places):
+        on = np.abs(places[axis] - side) < 1e-9
+        return np.where(on, bump(*(a for d, a in enumerate(places) if d != axis)), 0.0)
+
+    def exact(*places):
+        radius = np.sqrt(sum((a - 0.5) ** 2 for d, a in enumerate(places) if d != axis))
+        return spread_bump(np.abs(places[axis] - side), radius, 1 if kind == "dirichlet" else 0)
+
+    return on_face, exact
+
+
+@pytest.mark.parametrize(
+    ("axis", "side", "refined"),
+    [(2, 0, False), (2, 0, True), (1, 0, True), (0, 1, False)],
+    ids=["z lower", "z lower, two levels", "y lower, two levels", "x upper"],
+)
+@pytest.mark.parametrize("kind", ["dirichlet", "neumann"])
+def test_bumps_on_one_face_are_of_second_order(kind, axis, side, refined):
+    on_face, exact = beside(kind, axis, side)
+    boundary = {AXES[axis]: (kind, "open") if side == 0 else ("open", kind)}
+    cells = (32, 48)
+    found = []
+    for n in cells:
+        hierarchy = cube(n, boundary, at_wall(n, axis) if refined else ())
+        data = {"values" if kind == "dirichlet" else "slopes": on_face}
+        phi, field = solve(hierarchy, **data)
+        found.append(errors([phi], exact))
+    check_order_two(cells, found)
+
+
+@pytest.mark.parametrize(
+    ("plane", "other"), [("dirichlet", "neumann"), ("dirichlet", "dirichlet"), ("neumann", "neumann")]
+)
+def test_bumps_have_images_in_other_walls(plane, other):
+    """At a wall x = 0 the bump is there a second time, at x = -0.5."""
+    sign = -1 if other == "dirichlet" else 1
+
+    def twice(function, x, y, z):
+        return function(x, y, z) + sign * function(-x, y, z)
+
+    on_face, exact = beside(plane, 2, 0)
+    data = {
+        "values" if plane == "dirichlet" else "slopes": lambda *at: np.where(at[0] > 1e-9, twice(on_face, *at), 0.0)
+    }
+    cells = (32, 48)
+    found = []
+    for n in cells:
+        phi, _ = solve(cube(n, {"x": (other, "open"), "z": (plane, "open")}), **data)
+        found.append(errors([phi], lambda *at: twice(exact, *at)))
+    check_order_two(cells, found)
+
+
+@pytest.mark.parametrize("kind", ["dirichlet", "neumann"])
+def test_waves_between_periodic_faces_fade_away_from_their_wall(kind):
+    """With a mean potential of the wall, up to infinity; with slopes whose mean is zero."""
+    k = 2 * np.pi
+    mean = 0.3 if kind == "dirichlet" else 0.0
+
+    def on_face(x, y, z):
+        return mean + np.cos(k * x) + 0 * y * z
+
+    def exact(x, y, z):
+        return mean + np.cos(k * x) * np.exp(-k * z) / (1 if kind == "dirichlet" else k) + 0 * y
+
+    cells = (32, 48)
+    found = []
+    for n in cells:
+        hierarchy = cube(n, {"x": "periodic", "y": "periodic", "z": (kind, "open")}, depth=0.25)
+        phi, _ = solve(hierarchy, **{"values" if kind == "dirichlet" else "slopes": on_face})
+        found.append(errors([phi], exact))
+    check_order_two(cells, found)
+
+
+def test_a_constant_potential_and_a_bump_add_up():
+    on_face, _ = beside("dirichlet", 2, 0)
+    hierarchy = cube(16, {"z": ("dirichlet", "open")})
+    alone, _ = solve(hierarchy, values=on_face)
+    raised, _ = solve(hierarchy, values=lambda *at: 2 + on_face(*at))
+    assert max_difference(raised, alone, 2.0) < 1e-4  # the bump at the rim
+
+
+def test_charge_and_data_add_up():
+    on_face, _ = beside("dirichlet", 2, 0)
+    hierarchy = cube(16, {"z": ("dirichlet", "open")}, at_wall(16, 2))
+    source = Gaussian((0.08,) * 3, (0.5, 0.5, 0.4))
+    parts = [solve(hierarchy, source=source)[0], solve(hierarchy, values=on_face)[0]]
+    both, _ = solve(hierarchy, values=on_face, source=source)
+    assert max_difference(both, parts[0] + parts[1], 0.0) < 1e-7 * both.max_abs()
+
+
+# ---- a slope that ends at the rim ----
+
+
+def below_square(x, y, z):
+    """∫ dx'dy'/2πr over the unit square at z = 0: potential of a slope of 1 on it."""
+
+    def corner(u, v):
+        r = np.sqrt(u**2 + v**2 + z**2)
+        return u * np.log(v + r) + v * np.log(u + r) - z * np.arctan(u * v / (z * r))
+
+    return (corner(1 - x, 1 - y) - corner(-x, 1 - y) - corner(1 - x, -y) + corner(-x, -y)) / (2 * np.pi)
+
+
+@pytest.mark.parametrize(("n", "most"), [(16, 1e-2), (32, 5e-3)])
+def test_uniform_slope_ends_at_open_faces(n, most):
+    phi, _ = solve(cube(n, {"z": ("neumann", "open")}), slopes=lambda x, y, z: 1.0 + 0 * x * y * z)
+    assert errors([phi], below_square)[1] < most
+
+
+# ---- ranks ----
+
+
+@pytest.mark.mpi(ranks=(2, 3))
+@pytest.mark.parametrize("kind", ["dirichlet", "neumann"])
+def test_data_count_the_same_on_any_ranks_and_boxes(comm, kind):
+    on_face, _ = beside(kind, 2, 0)
+    boundary = {"y": "periodic", "z": (kind, "open")}
+    data = {"values" if kind == "dirichlet" else "slopes": on_face}
+    points = np.random.default_rng(2).uniform(0.02, 0.98, (200, 3))
+    alone, _ = solve(cube(24, boundary, at_wall(24, 2)), **data)
+    together, _ = solve(cube(24, boundary, at_wall(24, 2), comm, max_grid_size=8), **data)
+    expected = alone.sample(points)
+    assert together.sample(points) == pytest.approx(expected, abs=1e-8 * np.abs(expected).max())

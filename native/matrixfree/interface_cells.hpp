@@ -18,7 +18,6 @@ struct CoarsePatch {
   Box box;  ///< on the coarser level
   Placement cells;
   std::ptrdiff_t place(Index3 const& c) const {
-    assert(box.contains(c));
     return cells.place(c[0] - box.lower[0], c[1] - box.lower[1], c[2] - box.lower[2]);
   }
 };

@@ -1,7 +1,6 @@
 #pragma once
 
 #include <algorithm>
-#include <cassert>
 #include <cstddef>
 #include <string>
 
@@ -25,9 +24,8 @@ struct Box {
   }
   bool contains(Box const& other) const { return contains(other.lower) && contains(other.upper); }
 
-  /// Place of a cell of this box in its memory, x fastest.
+  /// Place of a cell in this box's memory, x fastest.
   GlobalIndex offset(Index3 const& cell) const {
-    assert(contains(cell));
     return (cell[0] - lower[0]) +
            GlobalIndex(extent(0)) * ((cell[1] - lower[1]) + GlobalIndex(extent(1)) * (cell[2] - lower[2]));
   }

@@ -13,7 +13,6 @@ from .. import _native
 from ..external import ExternalFields
 from ..mesh.domain import AXES
 from ..mesh.window import AT_REST, Vector, Window, vector, window_of
-from ..scene.motion import Leapfrog
 from ..scene.scene import Scene
 from ..stages.push import pusher_of
 from ..units import SPEED_OF_LIGHT
@@ -75,10 +74,8 @@ class Course:
             return cls()
         species = start.species
         reference = Reference(start.position, start.mean_momentum, species.charge, species.mass)
-        assert isinstance(scene.motion, Leapfrog)
-        if scene.motion.window == "none":
+        if (axis := scene.window_axis) is None:
             return cls(reference)
-        axis = int(np.argmax(np.abs(reference.momentum)))
         if not all(face == "open" for pair in scene.domain.boundary.values() for face in pair):
             return cls(reference, goes=AXES[axis])
         window = _turned(AT_REST, reference, np.eye(3)[axis] * reference.momentum[axis], reference)

@@ -179,20 +179,24 @@ def _state(plan: Plan, held: Snapshot, stored: Hierarchy, hierarchy: Hierarchy) 
     rho, phi, *efield_parts = (fields.get(name + OF_CHARGE, fields[name]) for name in FIELDS)
     efield = VectorField(*efield_parts)
     frames = _frames(extra)
-    if frames.only is not None:
-        plan.compensate(efield, rho, frames.only)
+    plan.say_what_is_left(frames)  # so that what the log has up to the checkpoint does not come again
     magnetic: VectorField | None = None
     parts: tuple[Field, ...] = ()
-    if frames.only is None:
+    if frames.only is not None:
+        plan.compensate(efield, rho, frames.only)
+    else:
+        plan.go_without_compensation()
         magnetic = VectorField(*(fields[f"bfield_{axis}"] for axis in AXES))
         parts = tuple(fields[f"phi_{number}"] for number in range(len(frames.members)))
     report = SolveReport(**extra["report"])
     before = fields.get(BEFORE)
     walls = plan.walls(rho.hierarchy, frames)
     solution = Solution(rho, phi, efield, report, frames, parts, magnetic, before, walls)
+    known = ParticleFields(particles, hierarchy, plan, solution, frames)
     if another:
-        moved = follow(ParticleFields(particles, hierarchy, plan, solution, frames))
-        particles, hierarchy, solution = moved.particles, moved.hierarchy, moved.solution
+        known = follow(known)
+    else:
+        known.solution = solution
     course = Course.from_dict(extra["course"]) if "course" in extra else Course.of_scene(plan.scene)
     lost, screens = _records(held, species, hierarchy.domain)
     given = held.header.about.scene["motion"].get("dt")
@@ -200,8 +204,10 @@ def _state(plan: Plan, held: Snapshot, stored: Hierarchy, hierarchy: Hierarchy) 
     if math.isnan(plan.dt) and given == "auto":
         plan.dt = before
     if plan.dt != before:
-        settle_time_step(plan, particles, hierarchy, solution.frames, course, solution)
-    return state_of(plan, particles, solution, lost, screens, course, held.header.step, held.header.time, lag)
+        settle_time_step(known, course)
+    return state_of(
+        plan, known.particles, known.solution, lost, screens, course, held.header.step, held.header.time, lag
+    )
 
 
 def _fields(state: State) -> dict[str, Field]:
@@ -235,7 +241,15 @@ def _frames(extra: Mapping[str, Any]) -> Frames:
     of = tuple(tuple(Charge(*charge) for charge in part) for part in held["of"])
     turn = None if held.get("turn") is None else tuple(map(vector, held["turn"]))
     return Frames(
-        members, held["axis"], tuple(held["edges"]), of, held["error"], held["across"], vector(held["moves"]), turn
+        members,
+        held["axis"],
+        tuple(held["edges"]),
+        of,
+        held["error"],
+        held["across"],
+        vector(held["moves"]),
+        tuple(map(tuple, held.get("motion", ()))),
+        turn,
     )
 
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from ..mesh.domain import AXES, FACES
 from .bunches import DescribedBunch
 from .complaints import complaint
@@ -177,7 +175,8 @@ def _window(scene: SceneParts) -> None:
             path="motion.window",
             found=scene.motion.window,
         )
-    axis = AXES[int(np.argmax(np.abs(reference.mean_momentum)))]
+    assert scene.window_axis is not None
+    axis = AXES[scene.window_axis]
     across = scene.domain.boundary[axis]
     if not set(across) <= {"open", "periodic"}:
         raise complaint(

@@ -82,3 +82,11 @@ class SceneParts(AnyScene):
         if isinstance(first, ArrayBunch):
             momentum = momentum @ first.axes
         return Reference(species=first.species, momentum=vector(momentum), position=vector(np.mean(places, axis=0)))
+
+    @property
+    def window_axis(self) -> int | None:
+        """The axis that the window starts along, if there is one."""
+        reference = self.reference
+        if not isinstance(self.motion, Leapfrog) or self.motion.window == "none" or reference is None:
+            return None
+        return int(np.argmax(np.abs(reference.mean_momentum)))

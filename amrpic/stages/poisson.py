@@ -15,6 +15,7 @@ from ..errors import SolverError
 from ..mesh.domain import BOUNDARIES
 from ..mesh.field import Field, Function, Holds, VectorField
 from ..mesh.hierarchy import Hierarchy
+from ..mesh.rims import rims_of
 from ..parallel import together
 from ..scene.complaints import mistakes
 from ..scene.solver_options import SolverOptions
@@ -268,6 +269,11 @@ class PoissonSolver:
                     )
                 # the native side works in stretched coordinates
                 data[kinds == NEUMANN] /= np.array(self.options.stretch)[axes[kinds == NEUMANN]]
+            beyond = np.zeros((3, 2))
+            if values is not None:
+                for face, rim in rims_of(self.hierarchy.domain, values).items():
+                    beyond[face] = rim.potential
+            self.native.continue_walls(beyond.tolist())
         self._walls = values, flux
 
 

@@ -765,7 +765,7 @@ def cycle_work(
     stretch: Sequence[float] = [1.0, 1.0, 1.0],
 ) -> list[LevelWork]:
     """
-    What one cycle takes of this rank, which may be virtual, by levels, the coarsest first. Local.
+    What one cycle takes of this rank, by levels, the coarsest first: it is rehearsed, and messages are counted. Local for a virtual rank, else collective.
     """
 
 def set_most_direct_readers(most: int) -> int:
@@ -839,16 +839,6 @@ class CompositeLaplacian:
     def electric_field(
         self, potential: Field, walls: Sequence[NDArray[numpy.float64]], covered: CoveredField
     ) -> ElectricField: ...
-    @property
-    def sent_by_residual(self) -> list[int]:
-        """
-        Messages and bytes that this rank, which may be virtual, sends for a residual, besides its norm.
-        """
-
-    @property
-    def sent_by_add(self) -> list[int]:
-        """The same for a correction that is added."""
-
     @property
     def bytes(self) -> int: ...
 

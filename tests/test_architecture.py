@@ -288,7 +288,7 @@ def test_the_table_of_formulas_names_what_there_is():
 
 
 # Functions that the table names beside a file of native/operators.
-OF_ROWS = ("laplacian_form", "neighbour_value", "PlaneBehind", "restrict_mean", "prolong", "LinearForm")
+OF_ROWS = ("laplacian_form", "neighbour_value", "FormsNear", "fit_at", "restrict_mean", "prolong", "LinearForm")
 
 
 def test_native_graph_has_no_cycle():

@@ -22,6 +22,12 @@ namespace amrpic {
 /// What this process has sent to other ranks so far, and the collective calls that it took part in.
 struct Traffic {
   std::int64_t messages = 0, bytes = 0, collectives = 0;
+
+  void add_since(Traffic const& before, Traffic const& now) {
+    messages += now.messages - before.messages;
+    bytes += now.bytes - before.bytes;
+    collectives += now.collectives - before.collectives;
+  }
 };
 Traffic& traffic();
 

@@ -156,7 +156,9 @@ void bind_matrixfree(nb::module_& m) {
             .work();
       },
       "hierarchy"_a, "pre_sweeps"_a, "post_sweeps"_a, "screening"_a = 0.0, "stretch"_a = Real3{1, 1, 1},
-      "What one cycle takes of this rank, which may be virtual, by levels, the coarsest first. Local.");
+      "What one cycle takes of this rank, by levels, the coarsest first: it is rehearsed, and messages are counted. "
+      "Local "
+      "for a virtual rank, else collective.");
   m.def(
       "set_most_direct_readers", [](int most) { return std::exchange(matrixfree::most_direct_readers(), most); },
       "most"_a,
@@ -237,17 +239,5 @@ void bind_matrixfree(nb::module_& m) {
             return laplacian.electric_field(std::move(potential), data, covered);
           },
           "potential"_a, "walls"_a, "covered"_a)
-      .def_prop_ro(
-          "sent_by_residual",
-          [](CompositeLaplacian const& l) {
-            return std::array{l.of_residual().messages, l.of_residual().bytes};
-          },
-          "Messages and bytes that this rank, which may be virtual, sends for a residual, besides its norm.")
-      .def_prop_ro(
-          "sent_by_add",
-          [](CompositeLaplacian const& l) {
-            return std::array{l.of_add().messages, l.of_add().bytes};
-          },
-          "The same for a correction that is added.")
       .def_prop_ro("bytes", &CompositeLaplacian::bytes);
 }

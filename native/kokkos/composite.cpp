@@ -13,14 +13,14 @@ namespace amrpic::kokkos {
 
 // ---- what passes between ranks ----
 
-ImportBuffers::ImportBuffers(Imports const& imports) {
+ImportBuffers::ImportBuffers(RemoteReads const& imports) {
   std::size_t sent = 0;
   imports.for_each_asked([&](int, Read const& read) { sent += std::size_t(read.part.cells()); });
   sent_ = Array<Real>("sent", sent), received_ = Array<Real>("received", std::size_t(imports.size()));
   host_sent_ = Kokkos::create_mirror_view(sent_), host_received_ = Kokkos::create_mirror_view(received_);
 }
 
-void ImportBuffers::pass(Imports& imports) const {
+void ImportBuffers::pass(RemoteReads const& imports) const {
   Kokkos::deep_copy(host_sent_, sent_);
   Kokkos::fence();
   Real const* from = host_sent_.data();
@@ -98,9 +98,10 @@ Composite::Composite(CompositeMesh& mesh, std::vector<SweptLevel*> levels)
   mesh_.plan().cells.for_each_asked([&](int purpose, Read const& read) {
     int const l = CompositePlan::level_of(purpose);
     Box const part = read.cells();
-    for (int k = part.lower[2]; k <= part.upper[2]; ++k)
-      for (int j = part.lower[1]; j <= part.upper[1]; ++j, to += part.extent(0))
-        sent[std::size_t(l)].push_back({place_of(mesh_, l, read.owner, {part.lower[0], j, k}), 1, to, part.extent(0)});
+    amrpic::for_each_row(part, [&](Index3 const& first) {
+      sent[std::size_t(l)].push_back({place_of(mesh_, l, read.owner, first), 1, to, part.extent(0)});
+      to += part.extent(0);
+    });
   });
   for (std::size_t l = 0; l < levels_.size(); ++l) levels_[l].sent_cells = listed(sent[l]);
 }
@@ -123,7 +124,7 @@ void Composite::plan_faces(int l, OnLevel& level, std::vector<CompositeBox>& box
   for (int b = 0; b < mesh_.boxes(l); ++b) {
     if (mesh_.plan(l, b).is_fully_covered) continue;
     Box const& box = mesh_.box(l, b);
-    Index3 const pitch = pitches(box);
+    Index3 const pitch = box.strides();
     for (int f = 0; f < 6; ++f) {
       int const axis = f / 2, side = f % 2;
       auto const [u, v] = tangential_axes(axis);
@@ -242,20 +243,22 @@ void Composite::plan_rows(int l, OnLevel& level, std::vector<CompositeBox> const
 /// Means of the level's cells for the coarser one, and what passes to and from the finer one.
 void Composite::plan_exchanges(int l, OnLevel& level) {
   LevelPlan const& plan = mesh_.plan(l);
-  level.finer_fluxes = ImportBuffers(plan.finer_fluxes), level.finer_means = ImportBuffers(plan.finer_means);
+  level.finer_fluxes = ImportBuffers(plan.finer_fluxes);
   std::vector<CopiedRun> received, fluxes;
-  for (RemoteMeans const& m : plan.remote_means)
-    for (int k = 0; k < m.parents[2]; ++k)
-      for (int j = 0; j < m.parents[1]; ++j)
-        received.push_back({~(m.from + m.parents[0] * (j + m.parents[1] * k)), 1,
-                            m.parent + j * m.pitch_y + k * m.pitch_z, m.parents[0]});
+  if (mesh_.hierarchy().has_finer(l)) {
+    Families const& covered = mesh_.transfer().families(l);
+    level.finer_means = ImportBuffers(covered.means);
+    for (RemoteFamily const& family : covered.remote)
+      family.for_each_row([&](std::int32_t from, std::int32_t parent) {
+        received.push_back({~from, 1, parent, family.parents[0]});
+      });
+  }
   level.received_means = listed(received);
   std::vector<ParentRun> families, sent;
   if (l > 0) {
     for (int b = 0; b < mesh_.boxes(l); ++b)
-      for (int f = mesh_.plan(l, b).families.first; f < mesh_.plan(l, b).families.last; ++f) {
-        Family const& family = plan.families[std::size_t(f)];
-        Index3 const pitch = pitches(mesh_.box(l, b));
+      for (Family const& family : mesh_.transfer().families(l - 1).of_box[std::size_t(b)]) {
+        Index3 const pitch = mesh_.box(l, b).strides();
         std::int32_t const child =
             mesh_.offset(l, b) + family.child[0] + family.child[1] * pitch[1] + family.child[2] * pitch[2];
         for (int k = 0; k < family.parents[2]; ++k)
@@ -264,13 +267,14 @@ void Composite::plan_exchanges(int l, OnLevel& level) {
                                 child + 2 * (j * pitch[1] + k * pitch[2]), pitch[1], pitch[2], family.parents[0]});
       }
     std::int32_t to = 0;
-    mesh_.plan(l - 1).finer_means.for_each_asked([&](int, Read const& read) {
+    mesh_.transfer().families(l - 1).means.for_each_asked([&](int, Read const& read) {
       Box const part = read.cells();
-      Index3 const pitch = pitches(mesh_.level(l).box(read.owner));
-      for (int k = part.lower[2]; k <= part.upper[2]; ++k)
-        for (int j = part.lower[1]; j <= part.upper[1]; ++j, to += part.extent(0))
-          sent.push_back({to, place_of(mesh_, l, read.owner, {2 * part.lower[0], 2 * j, 2 * k}), pitch[1], pitch[2],
-                          part.extent(0)});
+      Index3 const pitch = mesh_.level(l).box(read.owner).strides();
+      amrpic::for_each_row(part, [&](Index3 const& parent) {
+        sent.push_back(
+            {to, place_of(mesh_, l, read.owner, first_child_of(parent)), pitch[1], pitch[2], part.extent(0)});
+        to += part.extent(0);
+      });
     });
     to = 0;
     mesh_.plan(l - 1).finer_fluxes.for_each_asked([&](int, Read const& read) {
@@ -537,7 +541,7 @@ Real Composite::add(Real scale) {
     OnLevel const &level = levels_[std::size_t(l)], &coarser = levels_[std::size_t(l) - 1];
     average(level.families, level.phi.array(), coarser.phi.array());
     average(level.sent_means, level.phi.array(), coarser.finer_means.sent());
-    coarser.finer_means.pass(mesh_.plan(l - 1).finer_means);
+    coarser.finer_means.pass(mesh_.transfer().families(l - 1).means);
     copy(coarser.received_means, coarser.phi.array(), coarser.finer_means.received(), coarser.phi.array());
   }
   return std::abs(scale) * largest;

@@ -56,11 +56,11 @@ struct ParentRun {
 class ImportBuffers {
  public:
   ImportBuffers() = default;
-  explicit ImportBuffers(Imports const& imports);
+  explicit ImportBuffers(RemoteReads const& imports);
   Array<Real> const& sent() const { return sent_; }
   Array<Real> const& received() const { return received_; }
   /// Exchange them. Collective.
-  void pass(Imports& imports) const;
+  void pass(RemoteReads const& imports) const;
 
  private:
   Array<Real> sent_, received_;

@@ -106,13 +106,11 @@ void Coarsening::lay_out_coarse_patches(Communicator const& comm, CoarseGhosts c
 void Coarsening::add_ghosts(CoarsePatch const& patch, ArrayOnBox<char>& known, CoarseGhosts const& ghosts) {
   Box const region = patch.box.grow(refines_ ? -1 : 0);
   std::vector<Index3> missing;
-  for (int k = region.lower[2]; k <= region.upper[2]; ++k)
-    for (int j = region.lower[1]; j <= region.upper[1]; ++j) {
-      char const* const first = &known({region.lower[0], j, k});
-      char const* const end = first + region.extent(0);
-      for (char const* at = first; (at = std::find(at, end, 0)) != end; ++at)
-        missing.push_back({region.lower[0] + int(at - first), j, k});
-    }
+  amrpic::for_each_row(region, [&](Index3 const& cell) {
+    char const *const first = &known(cell), *const end = first + region.extent(0);
+    for (char const* at = first; (at = std::find(at, end, 0)) != end; ++at)
+      missing.push_back({cell[0] + int(at - first), cell[1], cell[2]});
+  });
   for (int axis = 0; axis < 3; ++axis)
     for (int side = 0; side < 2; ++side) {
       std::vector<Index3> filled;
@@ -152,9 +150,7 @@ void Coarsening::plan_gathering() {
     if (r == me) own_parts_ = parts_.size() - first_own_part_;
     for (Box const& box : parents[std::size_t(me)])
       if (r != me) asked.push_back({r, box.cells()});
-    sent_by_gathering_.messages += r != me;
   }
-  for (Parcel const& parcel : asked) sent_by_gathering_.bytes += std::int64_t(sizeof(float)) * parcel.values;
   gathering_ = Exchange<float>(comm_, asked, wanted);
 }
 
@@ -283,19 +279,6 @@ std::vector<PlaneStage> Coarsening::prolongation(Into into) {
   return {{[&layout, prolong](std::size_t b, int k, RowChoice const&) {
     if (b < layout.own_blocks()) prolong(b, k, layout.rows_by_copies(b, k, false));
   }}};
-}
-
-Traffic Coarsening::of_restriction(bool of_residual) const {
-  Traffic out;
-  for (bool exchanges : {fine_.has_odd_ring(), has_gaps_})
-    if (of_residual && exchanges) out = out + fine_.of_corrections(false);
-  if (in_place_) return out;
-  return out + targets_of_residuals_.of_add() + sent_by_gathering_;
-}
-
-Traffic Coarsening::of_prolongation() const {
-  Traffic const out = parents_.of_update() + fine_.of_corrections(refines_);
-  return has_gaps_ ? out + fine_.of_corrections(false) : out;
 }
 
 std::size_t Coarsening::bytes() const {

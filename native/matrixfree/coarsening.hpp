@@ -50,7 +50,6 @@ class Coarsening {
   bool has_gaps() const { return has_gaps_; }
   void start() { interface_.start(); }
   void refresh_gaps();
-  Traffic of_refresh() const { return fine_.of_corrections(false) + fine_.of_corrections(true); }
 
   /// Fetch the coarser correction, and take its part of the ghosts into the finer right-hand side; what is returned
   /// adds it to the finer correction, or takes its place, and is to be run first. Planes that other ranks copy have it
@@ -58,9 +57,6 @@ class Coarsening {
   enum class Into { sum, place };
   std::vector<PlaneStage> prolongation(Into into);
 
-  // What this rank sends in calls of these.
-  Traffic of_restriction(bool of_residual) const;
-  Traffic of_prolongation() const;
   std::set<int> const& neighbours() const { return parents_.neighbours(); }
 
   std::size_t bytes() const;
@@ -106,7 +102,6 @@ class Coarsening {
   std::size_t first_own_part_ = 0, own_parts_ = 0;
   std::vector<float> gathered_;
   Exchange<float> gathering_;
-  Traffic sent_by_gathering_;
   InterfaceCells interface_;
 };
 

@@ -110,16 +110,12 @@ class CompositeLaplacian {
   auto beside_coarse_faces(Field const& density) { return means_->field.beside_coarse_faces(density); }
   void to_means(Field const& points, Field& means) { means_->field.to_means(points, means); }
 
-  // What this rank sends in a call of `residual`, besides the norm, and of `add`.
-  Traffic of_residual() const { return means_ ? means_->ghosts.of_visit() : mesh_.plan().of_residual(); }
-  Traffic of_add() const { return mesh_.plan().of_average(); }
-
   Hierarchy const& hierarchy() const { return mesh_.hierarchy(); }
   CompositeMesh& mesh() { return mesh_; }  ///< in whose lists others may do the same
   /// Of lists and buffers on this rank.
   std::size_t bytes() const {
     std::size_t const of_order = means_ ? means_->ghosts.bytes() : points_->ghosts.bytes() + points_->field.bytes();
-    return mesh_.plan().bytes() + average_.bytes() + residual_->bytes() + of_order;
+    return mesh_.plan().bytes() + mesh_.transfer().bytes() + average_.bytes() + residual_->bytes() + of_order;
   }
 
  private:

@@ -11,7 +11,7 @@ class CompositeAverage {
   explicit CompositeAverage(CompositeMesh& mesh) : mesh_(mesh), covered_(mesh.largest_face(2)) {}
 
   /// See CompositeLaplacian. Collective.
-  void average_down(Field& phi);
+  void average_down(Field& phi) { mesh_.transfer().average_down({&phi}); }
   template <class T>
   Real add(Blocks<T> const& correction, Real scale, Field& phi);
 
@@ -22,10 +22,6 @@ class CompositeAverage {
   void set_uncovered(int l, int b, int k, Real* plane, Set&& set);
   template <class T>
   void add_plane(int l, int b, int k, Block<T> const& correction, Real scale, Real* phi, Largest<T>& largest);
-  void average_pair(int l, int b, int k, Field& phi) const;
-  void send_means(int l, Field const& phi);
-  void take_means(int l, Field& phi);
-  void settle();
 
   CompositeMesh& mesh_;
   std::vector<Real> covered_;  ///< what the covered cells of a plane hold

@@ -55,13 +55,13 @@ void CompositeField::field_plane(int l, int b, int k, Where where, Field const& 
 
 /// Send other ranks the means of a level's cells, box by box, that belong to covered cells of theirs.
 void CompositeField::send_means(int l, Real const* means) {
-  mesh_.plan(l - 1).finer_means.start(
+  mesh_.transfer().families(l - 1).means.start(
       [&](int, Read const& read, Real* out) {
         Box const parents = mesh_.level(l).box(read.owner).coarsen(refinement_ratio), part = read.cells();
         Real const* const first = means + width * (mesh_.level(l).local_offset(read.owner) / children);
-        for (int k = part.lower[2]; k <= part.upper[2]; ++k)
-          for (int j = part.lower[1]; j <= part.upper[1]; ++j, out += width * part.extent(0))
-            std::copy_n(first + width * parents.offset({part.lower[0], j, k}), width * part.extent(0), out);
+        for_each_row(part, [&](Index3 const& of_row) {
+          out = std::copy_n(first + width * parents.offset(of_row), width * part.extent(0), out);
+        });
       },
       std::size_t(width));
 }
@@ -69,7 +69,7 @@ void CompositeField::send_means(int l, Real const* means) {
 /// Give the means of a level's cells to the covered cells of the coarser level, all cells of whose boxes are boundary
 /// cells.
 void CompositeField::take_means(int l, Real const* means, ElectricField& field) {
-  LevelPlan& coarse = mesh_.plan(l - 1);
+  Families const& families = mesh_.transfer().families(l - 1);
   auto const at_boundary = [&](LocalIndex place) {
     return field.at_boundary(l - 1) + width * field.boundary(l - 1).number(place);
   };
@@ -81,16 +81,16 @@ void CompositeField::take_means(int l, Real const* means, ElectricField& field) 
                     first + width * (j * std::ptrdiff_t(to.pitch_y) + k * std::ptrdiff_t(to.pitch_z)));
   };
   for (int b = 0; b < mesh_.boxes(l); ++b)
-    for (int f = mesh_.plan(l, b).families.first; f < mesh_.plan(l, b).families.last; ++f) {
-      Family const& family = mesh_.plan(l).families[std::size_t(f)];
-      Index3 const pitch = pitches(mesh_.box(l, b).coarsen(refinement_ratio));
+    for (Family const& family : families.of_box[std::size_t(b)]) {
+      Index3 const pitch = mesh_.box(l, b).coarsen(refinement_ratio).strides();
       Real const* from = means + width * (mesh_.offset(l, b) / children);
       for (int d = 0; d < 3; ++d) from += width * (family.child[d] / 2) * pitch[d];
       give(from, pitch, family);
     }
-  coarse.finer_means.finish();
-  for (RemoteMeans const& m : coarse.remote_means)
-    give(coarse.finer_means.values() + width * m.from, {1, m.parents[0], m.parents[0] * m.parents[1]}, m);
+  families.means.finish();
+  for (RemoteFamily const& family : families.remote)
+    give(families.means.values() + width * family.from, {1, family.parents[0], family.parents[0] * family.parents[1]},
+         family);
 }
 
 /// Set the means of planes k and k + 1 of a box, which are under way, box by box.
@@ -122,7 +122,7 @@ ElectricField CompositeField::electric_field(std::shared_ptr<Field const> potent
 
   auto planes_of = [&](int l, int b, int k) {  // set two by two, in memory that all boxes share
     std::array<Real*, 3> e;
-    for (int d = 0; d < 3; ++d) e[d] = planes_.data() + (2 * d + k % 2) * std::ptrdiff_t(pitches(mesh_.box(l, b))[2]);
+    for (int d = 0; d < 3; ++d) e[d] = planes_.data() + (2 * d + k % 2) * mesh_.box(l, b).stride(2);
     return e;
   };
   auto set_box = [&](int l, int b) {
@@ -148,7 +148,7 @@ ElectricField CompositeField::electric_field(std::shared_ptr<Field const> potent
     }
   };
   ghosts_.visit(phi, walls, averages ? FullyCovered::skip : FullyCovered::visit, set_box, finish_level);
-  for (int l = 0; l < mesh_.levels(); ++l) mesh_.plan(l).finer_means.settle();
+  mesh_.transfer().settle();
   return out;
 }
 

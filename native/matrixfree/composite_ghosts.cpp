@@ -53,7 +53,7 @@ void CompositeGhosts::fill_wall(int l, int b, int axis, int side, Real const* ph
                                      mesh_.level(l).spacing()[axis]);
   Box const& own = mesh_.box(l, b);
   auto const [u, v] = tangential_axes(axis);
-  Index3 const pitch = pitches(own);
+  Index3 const pitch = own.strides();
   std::ptrdiff_t const inward = side == 0 ? pitch[axis] : -pitch[axis];
   Real const* first = phi + (side == 0 ? 0 : std::ptrdiff_t(own.extent(axis) - 1) * pitch[axis]);
   Real* out = ghosts_[2 * axis + side].data();
@@ -75,7 +75,7 @@ void CompositeGhosts::fill_interface(int l, int b, int axis, int side, Field con
 
   Box const& own = mesh_.box(l, b);
   auto const [u, v] = tangential_axes(axis);
-  Index3 const pitch = pitches(own);
+  Index3 const pitch = own.strides();
   std::ptrdiff_t const pu = pitch[u], pv = pitch[v], inward = side == 0 ? pitch[axis] : -pitch[axis];
   Real const* const first = phi.level(l).data() + mesh_.offset(l, b) +
                             (side == 0 ? 0 : std::ptrdiff_t(own.extent(axis) - 1) * pitch[axis]) + 2 * i.u * pu;

@@ -29,7 +29,7 @@ class CompositeGhosts {
   template <class F>
   void for_each_refined(int l, int b, int k, Real const* phi, F&& f) const {
     Box const& own = mesh_.box(l, b);
-    Index3 const pitch = pitches(own);
+    Index3 const pitch = own.strides();
     fluxes_.for_each_refined_side(l, b, [&](RefinedSide const& r, Real const* fluxes) {
       if (k < r.cells.lower[2] || k > r.cells.upper[2]) return;
       auto const [u, v] = tangential_axes(r.axis);

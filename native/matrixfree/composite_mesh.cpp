@@ -5,7 +5,7 @@
 namespace amrpic {
 
 CompositeMesh::CompositeMesh(std::shared_ptr<Hierarchy const> hierarchy, Real shift, Real3 const& stretch)
-    : hierarchy_(std::move(hierarchy)), shift_(shift), stretch_(stretch), plan_(*hierarchy_) {
+    : hierarchy_(std::move(hierarchy)), shift_(shift), stretch_(stretch), plan_(*hierarchy_), transfer_(hierarchy_) {
   for_each_box([&](int l, int b) {
     for (int d = 0; d < 3; ++d) {
       auto const [u, v] = tangential_axes(d);
@@ -23,9 +23,7 @@ void CompositeMesh::clear_covered(int l, int b, int k, Real* plane) const {
 void CompositeMesh::pack_cells(Field const& field, int l, Read const& read, Real* out) const {
   Box const &own = level(l).box(read.owner), part = read.cells();
   Real const* from = field.level(l).data() + level(l).local_offset(read.owner);
-  for (int k = part.lower[2]; k <= part.upper[2]; ++k)
-    for (int j = part.lower[1]; j <= part.upper[1]; ++j)
-      out = std::copy_n(from + own.offset({part.lower[0], j, k}), part.extent(0), out);
+  for_each_row(part, [&](Index3 const& first) { out = std::copy_n(from + own.offset(first), part.extent(0), out); });
 }
 
 }  // namespace amrpic

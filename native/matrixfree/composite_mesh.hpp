@@ -9,6 +9,7 @@
 #include "base/fetch.hpp"
 #include "matrixfree/composite_plan.hpp"
 #include "mesh/field.hpp"
+#include "mesh/transfer.hpp"
 #include "operators/nearly_free.hpp"
 #include "stencil/background.hpp"
 #include "stencil/equation.hpp"
@@ -27,9 +28,6 @@ struct Block {
 template <class T>
 using Blocks = std::vector<std::vector<Block<T>>>;
 
-/// Distances in memory of the neighbours of a cell of a box.
-inline Index3 pitches(Box const& box) { return {1, box.extent(0), box.extent(0) * box.extent(1)}; }
-
 enum class FullyCovered { visit, skip };  ///< boxes without uncovered cells
 
 /// The cells of all levels, as what is done to them box by box sees them: the boxes of this rank, counted on each level
@@ -45,6 +43,7 @@ class CompositeMesh {
   Level const& level(int l) const { return hierarchy_->level(l); }
   CompositePlan& plan() { return plan_; }
   CompositePlan const& plan() const { return plan_; }
+  Transfer const& transfer() const { return transfer_; }
   LevelPlan& plan(int l) { return plan_.levels[std::size_t(l)]; }
   LevelPlan const& plan(int l) const { return plan_.levels[std::size_t(l)]; }
   BoxPlan const& plan(int l, int b) const { return plan(l).boxes[std::size_t(b)]; }
@@ -72,7 +71,8 @@ class CompositeMesh {
   /// first of these `cells`, which are under way, have come. before(level) comes before these of a level, and
   /// after(level) after all.
   template <class Remote, class Before, class F, class After>
-  void visit(Imports& cells, FullyCovered fully_covered, Remote&& remote, Before&& before, F&& f, After&& after) const {
+  void visit(RemoteReads& cells, FullyCovered fully_covered, Remote&& remote, Before&& before, F&& f,
+             After&& after) const {
     bool waiting = true;
     for (int l = levels() - 1; l >= 0; --l) {
       for (bool last : {false, true}) {
@@ -144,6 +144,7 @@ class CompositeMesh {
   Real shift_;
   Real3 stretch_;
   CompositePlan plan_;
+  Transfer transfer_;
   std::size_t largest_row_ = 0;
   std::array<std::size_t, 3> largest_face_{0, 0, 0};
 };

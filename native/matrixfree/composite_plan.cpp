@@ -6,16 +6,8 @@ namespace amrpic {
 
 namespace {
 
-/// The means that boxes of a level read of finer ones.
-Reads reads_of_means(Level const& level, Level const& finer) {
-  return coarsened(reads_across_ranks(
-                       level, finer, [](Box const& o) { return o.coarsen(refinement_ratio); },
-                       [&](int b, auto&& read) { read(level.box(b).refine(refinement_ratio)); }),
-                   refinement_ratio);
-}
-
 /// Put a rectangle across an axis where values lie.
-void place_across(int axis, Imports::Values const& values, Rectangle& out) {
+void place_across(int axis, RemoteReads::Values const& values, Rectangle& out) {
   Index3 const pitch{1, values.pitch_y, values.pitch_z};
   auto const [u, v] = tangential_axes(axis);
   out.from = values.from;
@@ -25,7 +17,7 @@ void place_across(int axis, Imports::Values const& values, Rectangle& out) {
 /// Makes the lists of one level of this rank.
 class LevelPlanner {
  public:
-  LevelPlanner(Hierarchy const& hierarchy, int l, Imports const& cells, GapFits& gap_fits, LevelPlan& out)
+  LevelPlanner(Hierarchy const& hierarchy, int l, RemoteReads const& cells, GapFits& gap_fits, LevelPlan& out)
       : l_(l),
         level_(hierarchy.level(l)),
         faces_(hierarchy.faces(l)),
@@ -37,7 +29,10 @@ class LevelPlanner {
 
   /// Faces and interfaces; the finer level comes later, when its interfaces are known.
   void plan_faces() {
-    number_walls();
+    out_.boxes.resize(faces_.size());
+    for_each_wall(level_, [&](int b, int axis, int side, GlobalIndex first) {
+      out_.boxes[std::size_t(b - level_.first_local_box())].faces[std::size_t(2 * axis + side)].wall = int(first);
+    });
     for (std::size_t b = 0; b < faces_.size(); ++b) {
       number_ = level_.first_local_box() + int(b);
       box_ = faces_[b].box;
@@ -51,49 +46,24 @@ class LevelPlanner {
     }
   }
 
-  /// Covered parts, fluxes and means from the finer level, whose faces are planned.
-  void plan_refinement(LevelPlan& fine) {
-    std::vector<std::pair<int, Family>> families;
+  /// Covered parts, and fluxes from the finer level, whose faces are planned.
+  void plan_refinement(LevelPlan const& fine) {
     for (std::size_t b = 0; b < faces_.size(); ++b) {
       number_ = level_.first_local_box() + int(b);
       box_ = faces_[b].box;
       plan_ = &out_.boxes[b];
       plan_->covered.first = std::int32_t(out_.covered.size());
-      for (Overlap const& o : faces_[b].covered) {
-        out_.covered.push_back(counted_from_first(o.part));
-        plan_means(b, o, families);
-      }
+      for (Overlap const& o : faces_[b].covered) out_.covered.push_back(counted_from_first(o.part));
       plan_->covered.last = std::int32_t(out_.covered.size());
       plan_->is_fully_covered = faces_[b].is_fully_covered();
       plan_->refined.first = std::int32_t(out_.refined.size());
       for (std::size_t n = 0; n < faces_[b].beside.size(); ++n) plan_refined_side(fine, int(n), faces_[b].beside[n]);
       plan_->refined.last = std::int32_t(out_.refined.size());
     }
-    std::stable_sort(families.begin(), families.end(), [](auto const& a, auto const& b) { return a.first < b.first; });
-    for (auto const& [b, family] : families) {
-      Range& range = fine.boxes[std::size_t(b - finer_->first_local_box())].families;
-      if (range.empty()) range.first = range.last = std::int32_t(fine.families.size());
-      fine.families.push_back(family);
-      ++range.last;
-    }
   }
 
  private:
-  static Box counted_from(Index3 const& first, Box const& part) { return part.shift_back(first); }
-  Box counted_from_first(Box const& part) const { return counted_from(box_.lower, part); }
-
-  /// Wall data come by axis, side and box, each face's by its lower axis first.
-  void number_walls() {
-    out_.boxes.resize(faces_.size());
-    int place = 0;
-    for (std::size_t f = 0; f < 6; ++f)
-      for (std::size_t b = 0; b < faces_.size(); ++b) {
-        Face const& face = faces_[b].sides[f];
-        if (!face.is_wall) continue;
-        out_.boxes[b].faces[f].wall = place;
-        place += int(face.layer.cells());
-      }
-  }
+  Box counted_from_first(Box const& part) const { return part.shift_back(box_.lower); }
 
   void plan_face(FacePlan& plan, Face const& face, int f) {
     if (face.is_wall) return;
@@ -159,7 +129,7 @@ class LevelPlanner {
       if (met.part.empty()) continue;
       bool const here = level.owner(o.box) == level.rank();
       int const purpose = l == l_ ? CompositePlan::around_gaps(l) : CompositePlan::behind_gaps(l);
-      Imports::Values const values =
+      RemoteReads::Values const values =
           here ? own_values(level, met) : cells_.find(purpose, number_, f, o.box, o.shift, met.part);
       out_.window_parts.push_back({here, values.from, values.pitch_y, values.pitch_z, met.part});
       plan_->remote = plan_->remote || !here;
@@ -176,22 +146,6 @@ class LevelPlanner {
     int const purpose = l == l_ ? CompositePlan::as_neighbours(l) : CompositePlan::behind_edges(l);
     return rectangle_of(o, f / 2, origin, here,
                         here ? own_values(level, o) : cells_.find(purpose, number_, f, o.box, o.shift, o.part));
-  }
-
-  void plan_means(std::size_t b, Overlap const& covered, std::vector<std::pair<int, Family>>& families) {
-    Box const& part = covered.part;
-    std::int32_t const parent =
-        level_.local_offset(level_.first_local_box() + int(b)) + std::int32_t(box_.offset(part.lower));
-    std::int32_t const pitch_y = box_.extent(0), pitch_z = box_.extent(0) * box_.extent(1);
-    Index3 const parents{part.extent(0), part.extent(1), part.extent(2)};
-    if (finer_->owner(covered.box) == level_.rank()) {
-      Box const child = counted_from(finer_->box(covered.box).lower, part.refine(refinement_ratio));
-      families.push_back({covered.box, {parent, pitch_y, pitch_z, child.lower, parents}});
-    } else {
-      Imports::Values const values = out_.finer_means.find(0, number_, 0, covered.box, covered.shift, part);
-      plan_->takes_means = true;
-      out_.remote_means.push_back({values.from, parent, pitch_y, pitch_z, parents});
-    }
   }
 
   void plan_refined_side(LevelPlan const& fine, int number, FinerNeighbour const& n) {
@@ -221,7 +175,7 @@ class LevelPlanner {
   LevelFaces const& faces_;
   Level const* coarser_;
   Level const* finer_;
-  Imports const& cells_;
+  RemoteReads const& cells_;
   GapFits& gap_fits_;
   LevelPlan& out_;
   // of the box under way
@@ -249,13 +203,13 @@ void Rectangle::copy(Real const* own, Real const* imported, Real* to, std::ptrdi
   }
 }
 
-Imports::Values own_values(Level const& level, Overlap const& o) {
+RemoteReads::Values own_values(Level const& level, Overlap const& o) {
   Box const& box = level.box(o.box);
   return {level.local_offset(o.box) + std::int32_t(box.offset(o.in_box().lower)), box.extent(0),
           box.extent(0) * box.extent(1)};
 }
 
-Rectangle rectangle_of(Overlap const& o, int axis, Index3 const& origin, bool here, Imports::Values const& values) {
+Rectangle rectangle_of(Overlap const& o, int axis, Index3 const& origin, bool here, RemoteReads::Values const& values) {
   auto const [u, v] = tangential_axes(axis);
   Rectangle out{};
   out.here = here;
@@ -280,9 +234,7 @@ CompositePlan::CompositePlan(Hierarchy const& hierarchy) : levels(std::size_t(hi
     Level const& finer = hierarchy.level(l + 1);
     LevelPlan& plan = levels[std::size_t(l)];
     plan.finer_fluxes.add(0, reads_of_fine_fluxes(level, hierarchy.faces(l), finer));
-    plan.finer_means.add(0, reads_of_means(level, finer));
     plan.finer_fluxes.plan(comm);
-    plan.finer_means.plan(comm);
   }
   cells.plan(comm);
   for (int l = hierarchy.level_count() - 1; l >= 0; --l) {
@@ -292,25 +244,12 @@ CompositePlan::CompositePlan(Hierarchy const& hierarchy) : levels(std::size_t(hi
   }
 }
 
-Traffic CompositePlan::of_residual() const {
-  Traffic out = cells.of_start();
-  for (auto const& l : levels) out = out + l.finer_fluxes.of_start();
-  return out;
-}
-
-Traffic CompositePlan::of_average() const {
-  Traffic out;
-  for (auto const& l : levels) out = out + l.finer_means.of_start();
-  return out;
-}
-
 std::size_t CompositePlan::bytes() const {
   std::size_t sum = cells.memory() + gap_fits->bytes();
   for (auto const& l : levels)
     sum += bytes_of(l.boxes) + bytes_of(l.neighbours) + bytes_of(l.interfaces) + bytes_of(l.coarse) + bytes_of(l.fits) +
            bytes_of(l.gaps) + bytes_of(l.window_parts) + bytes_of(l.fits_in_gaps) + bytes_of(l.covered) +
-           bytes_of(l.refined) + bytes_of(l.families) + bytes_of(l.remote_means) + l.finer_fluxes.memory() +
-           l.finer_means.memory();
+           bytes_of(l.refined) + l.finer_fluxes.memory();
   return sum;
 }
 

@@ -6,8 +6,8 @@
 #include <vector>
 
 #include "matrixfree/fits.hpp"
-#include "matrixfree/imports.hpp"
 #include "mesh/hierarchy.hpp"
+#include "mesh/remote_reads.hpp"
 #include "stencil/gap_fit.hpp"
 
 namespace amrpic {
@@ -31,10 +31,10 @@ struct Rectangle {
 };
 
 /// Where the cells of a box of this rank lie that an overlap names.
-Imports::Values own_values(Level const& level, Overlap const& o);
+RemoteReads::Values own_values(Level const& level, Overlap const& o);
 
 /// The cells of an overlap in a plane across an axis, placed from `origin`, in this rank's memory or as imported.
-Rectangle rectangle_of(Overlap const& o, int axis, Index3 const& origin, bool here, Imports::Values const& values);
+Rectangle rectangle_of(Overlap const& o, int axis, Index3 const& origin, bool here, RemoteReads::Values const& values);
 
 /// Where the values beyond a face of a box come from.
 struct FacePlan {
@@ -79,24 +79,8 @@ struct BoxPlan {
   std::array<FacePlan, 6> faces;  ///< 2 axis + side
   Range covered;                  ///< parts covered by finer boxes
   Range refined;                  ///< refined sides
-  Range families;                 ///< parents that are cells of this rank
   bool is_fully_covered = false;  ///< covered whole
   bool remote = false;            ///< a face, the plane behind it, or a refined side takes values from other ranks
-  bool takes_means = false;       ///< covered cells have children on other ranks
-};
-
-/// Cells of a coarser box, and their children in a box of the level; all on this rank.
-struct Family {
-  std::int32_t parent, pitch_y, pitch_z;  ///< place of the first parent among the own cells, and their distances
-  Index3 child;                           ///< first child, counted from the first cell of its box
-  Index3 parents;                         ///< how many along each axis
-};
-
-/// Means that another rank sends for covered cells of this one.
-struct RemoteMeans {
-  std::int32_t from;                      ///< place among what is imported, x fastest
-  std::int32_t parent, pitch_y, pitch_z;  ///< as in Family
-  Index3 parents;
 };
 
 /// The lists of one level.
@@ -112,9 +96,7 @@ struct LevelPlan {
   std::int32_t fluxes = 0;   ///< number of coarse faces for which the level has places
   std::vector<Box> covered;  ///< counted from the first cell of the box
   std::vector<RefinedSide> refined;
-  std::vector<Family> families;           ///< of this level's boxes and the coarser level
-  std::vector<RemoteMeans> remote_means;  ///< for covered cells of this level
-  Imports finer_fluxes, finer_means;      ///< from the next finer level
+  RemoteReads finer_fluxes;  ///< from the next finer level
 
   /// Call f(place of the coarse cell along u, along v, fit) for the fits in gaps behind an interface, u fastest.
   template <class F>
@@ -135,7 +117,7 @@ struct CompositePlan {
   std::vector<LevelPlan> levels;
   std::shared_ptr<GapFits> gap_fits = std::make_shared<GapFits>();  ///< of all levels
 
-  Imports cells;  ///< of other ranks, of all levels
+  RemoteReads cells;  ///< of other ranks, of all levels
   /// Their purposes: cells of level l as ghosts of that level, or for those of the next finer one, or around gaps
   /// beside the next finer level or beside the level itself.
   static int as_neighbours(int l) { return 4 * l; }
@@ -143,10 +125,6 @@ struct CompositePlan {
   static int behind_gaps(int l) { return 4 * l + 2; }
   static int around_gaps(int l) { return 4 * l + 3; }
   static int level_of(int purpose) { return purpose / 4; }
-
-  // What this rank sends for cells and fluxes, and for means.
-  Traffic of_residual() const;
-  Traffic of_average() const;
 
   std::size_t bytes() const;  ///< of this rank's lists
 };

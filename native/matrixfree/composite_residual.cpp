@@ -130,7 +130,7 @@ void SecondOrderResidual::for_each_own_share_in_gaps(int l, int b, int face, F&&
 /// The diagonal of the Laplacian times phi, of a plane of cells; zero in covered ones.
 void SecondOrderResidual::diagonal_plane(int l, int b, int k, Field const& phi) {
   Box const& own = mesh_.box(l, b);
-  Index3 const pitch = pitches(own);
+  Index3 const pitch = own.strides();
   Real3 const& h = mesh_.level(l).spacing();
   Equation const equation = mesh_.equation(l);
   Real const* const cells = phi.level(l).data() + mesh_.offset(l, b) + std::ptrdiff_t(k) * pitch[2];
@@ -164,7 +164,7 @@ void SecondOrderResidual::diagonal_plane(int l, int b, int k, Field const& phi) 
 
 /// f of a plane of cells, covered ones included.
 void CompositeResidual::source_plane(int l, int b, int k, Source const& source) {
-  std::ptrdiff_t const cells = pitches(mesh_.box(l, b))[2];
+  std::ptrdiff_t const cells = mesh_.box(l, b).stride(2);
   Background const background = source.background;
   Real const* const rho = source.rho.level(l).data() + mesh_.offset(l, b) + k * cells;
   kernels::for_each_part(0, cells, [&](std::ptrdiff_t begin, std::ptrdiff_t end) {
@@ -175,7 +175,7 @@ void CompositeResidual::source_plane(int l, int b, int k, Source const& source) 
 
 /// The magnitudes of its terms, added up.
 void CompositeResidual::source_sizes_plane(int l, int b, int k, Source const& source) {
-  std::ptrdiff_t const cells = pitches(mesh_.box(l, b))[2];
+  std::ptrdiff_t const cells = mesh_.box(l, b).stride(2);
   Real const* const rho = source.rho.level(l).data() + mesh_.offset(l, b) + k * cells;
   Real const background = std::abs(source.background.mean);
   for (std::ptrdiff_t i = 0; i < cells; ++i)

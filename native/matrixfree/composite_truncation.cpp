@@ -13,7 +13,7 @@ namespace {
 /// A part of a window, in the memory of a box of this rank or as another rank sent it.
 struct Part {
   bool here;
-  Imports::Values values;
+  RemoteReads::Values values;
   Box place;  ///< in the window
 };
 
@@ -75,7 +75,7 @@ std::vector<std::int32_t> first_parents(Level const& level, Index3 const& ratio)
 
 /// The parts of the window of box b that lie in boxes of the level. `first`: of `first_parents`.
 std::vector<Part> find_parts(Hierarchy const& hierarchy, int boxes, int b, Window const& window,
-                             std::vector<std::int32_t> const& first, Imports const& imports) {
+                             std::vector<std::int32_t> const& first, RemoteReads const& imports) {
   Level const& level = hierarchy.level(window.level);
   std::vector<Part> out;
   Box const around = window.around(hierarchy.level(boxes).box(b));
@@ -97,7 +97,7 @@ std::vector<Part> find_parts(Hierarchy const& hierarchy, int boxes, int b, Windo
 }
 
 /// The values of a window, zero where the level has no cells.
-ArrayOnBox<Real> gather(Box const& box, std::vector<Part> const& parts, Real const* own, Imports const& imports) {
+ArrayOnBox<Real> gather(Box const& box, std::vector<Part> const& parts, Real const* own, RemoteReads const& imports) {
   ArrayOnBox<Real> out(box, 0.0);
   for (Part const& p : parts) {
     Real const* from = (p.here ? own : imports.values()) + p.values.from;
@@ -141,9 +141,9 @@ Real* pack_means(Level const& level, Index3 const& ratio, std::vector<std::int32
                  std::vector<Real> const& means, Read const& read, Real* out) {
   Box const parents = level.box(read.owner).coarsen(ratio), part = read.cells();
   Real const* const from = means.data() + first[std::size_t(read.owner - level.first_local_box())];
-  for (int k = part.lower[2]; k <= part.upper[2]; ++k)
-    for (int j = part.lower[1]; j <= part.upper[1]; ++j)
-      out = std::copy_n(from + parents.offset({part.lower[0], j, k}), part.extent(0), out);
+  for_each_row(part, [&](Index3 const& first_of_row) {
+    out = std::copy_n(from + parents.offset(first_of_row), part.extent(0), out);
+  });
   return out;
 }
 
@@ -259,7 +259,7 @@ Real composite_truncation(CompositeMesh& mesh, Source const& source, Field const
     Window const rho{of_rho, l, ratio, ratio, beside};
     Window const potential_window =
         l > 0 ? Window{of_phi, l - 1, {1, 1, 1}, ratio, further} : Window{of_phi, 0, ratio, ratio, further};
-    Imports imports;
+    RemoteReads imports;
     for (Window const& window : {rho, potential_window})
       imports.add(window.purpose, reads_of(mesh.hierarchy(), l, window));
     imports.plan(mesh.comm());
@@ -291,13 +291,10 @@ Real composite_truncation(CompositeMesh& mesh, Source const& source, Field const
       for (int d = 0; d < 3; ++d) spacing[d] = ratio[d] * mesh.level(l).spacing()[d];
       Equation const coarse = equation_on(spacing, mesh.shift());
       ArrayOnBox<Real> error(task.parents, 0.0);
-      Box const& p = task.parents;
-      for (int k = p.lower[2]; k <= p.upper[2]; ++k)
-        for (int j = p.lower[1]; j <= p.upper[1]; ++j) {
-          Index3 const first{p.lower[0], j, k};
-          estimate_row(p.extent(0), coarse, &potential(first), potential.box(), &charge(first), source.background,
-                       &usable(first), &error(first));
-        }
+      for_each_row(task.parents, [&](Index3 const& first) {
+        estimate_row(task.parents.extent(0), coarse, &potential(first), potential.box(), &charge(first),
+                     source.background, &usable(first), &error(first));
+      });
       prolong_truncation(mesh, l, task.box, ratio, error, scale[std::size_t(l)],
                          truncation[std::size_t(l)][std::size_t(task.box)], largest);
     }

@@ -128,11 +128,15 @@ Cycle::Cycle(Communicator const& comm, MultigridLevels multigrid, int max_grid_s
                                                   rules.seam_width, leaves_mean(multigrid_));
 }
 
+CycleSteps Cycle::steps() {
+  return {[this](std::size_t l) { levels_[l].coarsening->restrict_right_hand_side(); },
+          [this](std::size_t l, Guess guess) { pre_smooth_and_restrict(levels_[l], guess); },
+          [this](std::size_t l) { prolong_and_post_smooth(levels_[l]); }, [this] { solve_coarsest(); }};
+}
+
 void Cycle::run() {
   NoDenormals const guard;
-  run_cycle(multigrid_, {[this](std::size_t l) { levels_[l].coarsening->restrict_right_hand_side(); },
-                         [this](std::size_t l, Guess guess) { pre_smooth_and_restrict(levels_[l], guess); },
-                         [this](std::size_t l) { prolong_and_post_smooth(levels_[l]); }, [this] { solve_coarsest(); }});
+  run_cycle(multigrid_, steps());
 }
 
 /// The stages with sweeps after them, of which all but the last have run where there are gaps: their fits are taken
@@ -151,12 +155,6 @@ std::vector<PlaneStage> Cycle::relaxations(CycleLevel& level, std::vector<PlaneS
   }
   append(sweeps);
   return stages;
-}
-
-Traffic Cycle::between_sweeps(CycleLevel const& level, int sweeps) const {
-  Traffic out;
-  for (int s = 1; s < sweeps && level.coarsening->has_gaps(); ++s) out = out + level.coarsening->of_refresh();
-  return out;
 }
 
 /// Smooth, then leave the right-hand side of the coarser level.
@@ -188,12 +186,10 @@ void Cycle::solve_coarsest() {
   values_.assign(std::size_t(level.cells()), 0.0);
   auto for_each_own_row = [&](auto&& f) {
     for (std::size_t b = 0; b < layout.own_blocks(); ++b) {
-      Box const& box = layout.blocks()[b].box;
-      for (int k = box.lower[2]; k <= box.upper[2]; ++k)
-        for (int j = box.lower[1]; j <= box.upper[1]; ++j) {
-          Index3 const first{box.lower[0], j, k};
-          f(std::size_t(layout.blocks()[b].place(first)), std::size_t(level.domain().offset(first)), box.extent(0));
-        }
+      CellBlock const& block = layout.blocks()[b];
+      for_each_row(block.box, [&](Index3 const& first) {
+        f(std::size_t(block.place(first)), std::size_t(level.domain().offset(first)), block.box.extent(0));
+      });
     }
   };
   Vector const& r = levels_[0].swept->right_hand_side();
@@ -207,45 +203,36 @@ void Cycle::solve_coarsest() {
   if (levels_[0].last.act) levels_[0].swept->run({levels_[0].last});
 }
 
-std::vector<LevelWork> Cycle::work() const {
+std::vector<LevelWork> Cycle::work() {
   std::vector<LevelWork> out;
+  std::vector<SweepWork> own(levels_.size()), of_copies(levels_.size());
   for (std::size_t l = 0; l < levels_.size(); ++l) {
-    SweptLevel const& swept = *levels_[l].swept;
+    SweptLevel& swept = *levels_[l].swept;
     LevelWork work{int(l) - int(multigrid_.base), swept.level().local_cells(), 0, 0, 0, 0, {}};
     for (CellBlock const& block : swept.layout().blocks()) work.stored += block.box.cells();
     std::set<int> ranks = swept.neighbours();
     if (l > 0) ranks.insert(levels_[l].coarsening->neighbours().begin(), levels_[l].coarsening->neighbours().end());
     work.neighbours = int(ranks.size());
     out.push_back(work);
+    swept.rehearse(&own[l]);
+    if (levels_[l].local) levels_[l].local->rehearse(&of_copies[l]);
   }
-  auto const add = [&](std::size_t l, Traffic const& sent, int sweeps, int further) {
-    out[l].traffic = out[l].traffic + sent;
-    out[l].sweeps += sweeps;
-    out[l].relaxed += levels_[l].swept->relaxed_cells(sweeps, further);
+  auto const counted = [&](std::size_t l, auto const& step, auto... arguments) {
+    Traffic const before = traffic();
+    step(arguments...);
+    out[l].traffic.add_since(before, traffic());
   };
-  run_cycle(multigrid_, {[&](std::size_t l) { add(l, levels_[l].coarsening->of_restriction(false), 0, 0); },
-                         [&](std::size_t l, Guess guess) {
-                           Coarsening const& c = *levels_[l].coarsening;
-                           SweptLevel const& swept = *levels_[l].swept;
-                           int const sweeps = sweeps_beside(levels_[l], relaxation_.pre_sweeps);
-                           Traffic const sent = swept.of_right_hand_sides() + c.of_restriction(true) +
-                                                swept.of_sweeps(sweeps, guess == Guess::zero, true) +
-                                                between_sweeps(levels_[l], sweeps);
-                           add(l, guess == Guess::coarser ? sent + c.of_prolongation() : sent, sweeps, 1);
-                         },
-                         [&](std::size_t l) {
-                           auto const& local = levels_[l].local;
-                           int const sweeps = sweeps_beside(levels_[l], relaxation_.post_sweeps);
-                           add(l,
-                               levels_[l].coarsening->of_prolongation() +
-                                   levels_[l].swept->of_sweeps(sweeps, false, false) +
-                                   between_sweeps(levels_[l], sweeps),
-                               sweeps, local ? 1 : 0);
-                           if (!local) return;
-                           out[l].traffic = out[l].traffic + local->traffic();
-                           out[l].relaxed += local->relaxed_cells();
-                         },
-                         [&] { out[0].traffic.collectives += multigrid_.levels.front()->ranks() > 1; }});
+  CycleSteps const step = steps();
+  run_cycle(multigrid_, {[&](std::size_t l) { counted(l, step.restrict_right_hand_side, l); },
+                         [&](std::size_t l, Guess guess) { counted(l, step.pre_smooth_and_restrict, l, guess); },
+                         [&](std::size_t l) { counted(l, step.prolong_and_post_smooth, l); },
+                         [&] { counted(0, step.solve_coarsest); }});
+  for (std::size_t l = 0; l < levels_.size(); ++l) {
+    out[l].sweeps = own[l].sweeps;
+    out[l].relaxed = own[l].relaxed + of_copies[l].relaxed;
+    levels_[l].swept->rehearse(nullptr);
+    if (levels_[l].local) levels_[l].local->rehearse(nullptr);
+  }
   return out;
 }
 

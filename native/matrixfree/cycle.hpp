@@ -49,8 +49,9 @@ class Cycle {
   /// The corrections from the finest level down; reads every refinement level's right-hand side. Collective.
   void run();
 
-  /// The work of a cycle, by levels, the coarsest first. Local.
-  std::vector<LevelWork> work() const;
+  /// The work of a cycle, by levels, the coarsest first. The cycle is rehearsed: it exchanges values, but sweeps over
+  /// none, and leaves corrections without meaning. Local for a virtual rank, else collective.
+  std::vector<LevelWork> work();
 
   /// What is done last to each plane of own cells of such a level.
   void set_last_stage(std::size_t l, PlaneStage stage) { levels_[multigrid_.base + l].last = std::move(stage); }
@@ -70,11 +71,11 @@ class Cycle {
     std::unique_ptr<LocalCycle> local;       ///< of a refinement level of long or flat cells
     PlaneStage last;                         ///< after all sweeps; may be none
   };
+  CycleSteps steps();
   void pre_smooth_and_restrict(CycleLevel& level, Guess guess);
   void prolong_and_post_smooth(CycleLevel& level);
   std::vector<PlaneStage> relaxations(CycleLevel& level, std::vector<PlaneStage> stages, int sweeps, bool from_zero,
                                       int further);
-  Traffic between_sweeps(CycleLevel const& level, int sweeps) const;
   void solve_coarsest();
   int sweeps_beside(CycleLevel const& level, int sweeps) const {
     return level.local ? beside_local_cycle(sweeps) : sweeps;

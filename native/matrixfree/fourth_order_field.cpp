@@ -122,7 +122,7 @@ void FourthOrderField::to_means(Field const& points, Field& means) {
   for (int l = 0; l < mesh_.levels(); ++l)
     std::copy(points.level(l).begin(), points.level(l).end(), means.level(l).begin());
   mesh_.for_each_box([&](int l, int b) {
-    std::ptrdiff_t const plane = pitches(mesh_.box(l, b))[2];
+    std::ptrdiff_t const plane = mesh_.box(l, b).stride(2);
     for (int k = 0; k < mesh_.box(l, b).extent(2); ++k)
       mesh_.for_each_covered_row(l, b, k, [&](std::ptrdiff_t at, int n) {
         std::fill_n(means.level(l).data() + mesh_.offset(l, b) + k * plane + at, n,
@@ -216,7 +216,7 @@ Real FourthOrderField::truncation(Field const& phi, std::vector<Walls> const& wa
   }
   Real largest = 0;
   mesh_.for_each_box([&](int l, int b) {
-    std::ptrdiff_t const plane = pitches(mesh_.box(l, b))[2];
+    std::ptrdiff_t const plane = mesh_.box(l, b).stride(2);
     for (int k = 0; k < mesh_.box(l, b).extent(2); ++k) {
       Real* const values = sum.level(l).data() + mesh_.offset(l, b) + k * plane;
       mesh_.clear_covered(l, b, k, values);

@@ -169,7 +169,7 @@ int FourthOrderGhosts::cells_inside(int l, int b, int axis, int side, int u, int
 std::array<Real const*, fourth_order::wall_cells> FourthOrderGhosts::cells_at(Box const& own, Real const* phi, int axis,
                                                                               int side, int u, int v, int count) {
   auto const [along, across] = tangential_axes(axis);
-  Index3 const pitch = pitches(own);
+  Index3 const pitch = own.strides();
   std::ptrdiff_t const inward = side == 0 ? pitch[axis] : -pitch[axis];
   Real const* const first = phi + (side == 0 ? 0 : std::ptrdiff_t(own.extent(axis) - 1) * pitch[axis]) +
                             std::ptrdiff_t(u) * pitch[along] + std::ptrdiff_t(v) * pitch[across];
@@ -431,12 +431,6 @@ void FourthOrderGhosts::fill_in_front(int l, int b, int axis, int side, Interfac
     }
     for (int m = begin; m < end; ++m) flux[m] += left[2 * (m - begin)] + left[2 * (m - begin) + 1];
   }
-}
-
-Traffic FourthOrderGhosts::of_visit() const {
-  Traffic out = plan_.cells.of_start();
-  for (int l = 0; l < mesh_.levels(); ++l) out = out + mesh_.plan(l).finer_fluxes.of_start();
-  return out;
 }
 
 std::size_t FourthOrderGhosts::bytes() const {

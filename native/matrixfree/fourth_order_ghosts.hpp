@@ -113,7 +113,6 @@ class FourthOrderGhosts {
   /// How many cells in line from a face of the box under way inwards the level has, and are at hand, up to `most`.
   int cells_inside(int l, int b, int axis, int side, int u, int v, int most = fourth_order::wall_cells) const;
 
-  Traffic of_visit() const;
   std::size_t bytes() const;
 
  private:

@@ -36,7 +36,7 @@ class FourthOrderPlan {
   bool is_remote(int l, int b) const { return levels_[std::size_t(l)].remote[std::size_t(b)]; }
   OnLevel const& level(int l) const { return levels_[std::size_t(l)]; }
 
-  Imports cells;  ///< of other ranks, of all levels
+  RemoteReads cells;  ///< of other ranks, of all levels
   static int as_neighbours(int l) { return 2 * l; }
   static int behind_edges(int l) { return 2 * l + 1; }
   static int level_of(int purpose) { return purpose / 2; }

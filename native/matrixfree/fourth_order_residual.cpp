@@ -146,7 +146,7 @@ bool FourthOrderResidual::has_walls_alone(int l, int b) const {
 /// `plane_` -= what the wall data add to the Laplacian in a plane of such a box, rounded as everywhere.
 void FourthOrderResidual::subtract_walls(int l, int b, int k) {
   Box const& own = mesh_.box(l, b);
-  Index3 const pitch = pitches(own);
+  Index3 const pitch = own.strides();
   for (auto& of_axis : across_) of_axis.assign(std::size_t(pitch[2]), 0.0);
   for (int f = 0; f < 6; ++f) {
     if (mesh_.plan(l, b).faces[std::size_t(f)].wall < 0) continue;
@@ -183,7 +183,7 @@ void FourthOrderResidual::right_hand_side_plane(int l, int b, int k, Source cons
 }
 
 void FourthOrderResidual::term_sizes_plane(int l, int b, int k, Source const& source) {
-  std::ptrdiff_t const cells = pitches(mesh_.box(l, b))[2];
+  std::ptrdiff_t const cells = mesh_.box(l, b).stride(2);
   std::vector<Real> of_walls(std::size_t(cells), 0.0);
   if (has_wall(l, b)) {
     right_hand_side_plane(l, b, k, source);
@@ -198,7 +198,7 @@ void FourthOrderResidual::term_sizes_plane(int l, int b, int k, Source const& so
 }
 
 void FourthOrderResidual::diagonal_plane(int l, int b, int k, Field const& phi) {
-  std::ptrdiff_t const cells = pitches(mesh_.box(l, b))[2];
+  std::ptrdiff_t const cells = mesh_.box(l, b).stride(2);
   Real const diagonal = fourth_order::diagonal(mesh_.equation(l));
   Real const* const values = phi.level(l).data() + mesh_.offset(l, b) + k * cells;
   for (std::ptrdiff_t i = 0; i < cells; ++i) plane_[std::size_t(i)] = diagonal * values[i];

@@ -57,14 +57,9 @@ std::vector<Ghost> Stencil::ghosts(Level const& level, Layout const& layout, Gho
   bool const thick = block.box.extent(axis) > 1, ends = face.is_wall || face.has_coarser;
   // cells of the level behind the outer faces of copies are not stored here: their ghosts stay zero
   std::vector<Ghost> out(std::size_t(layer.cells()), Ghost{ends ? nothing : 0, 0, 0});
-  auto for_each_row = [&](Box const& part, auto&& f) {  // of ghosts
-    for (int k = part.lower[2]; k <= part.upper[2]; ++k)
-      for (int j = part.lower[1]; j <= part.upper[1]; ++j) {
-        Index3 const first{part.lower[0], j, k};
-        f(&out[std::size_t(layer.offset(first))], first);
-      }
-  };
-  auto fill_ghosts = [&](Ghost* row, Index3 const& first) {
+  auto const row_at = [&](Index3 const& first) { return &out[std::size_t(layer.offset(first))]; };
+  auto fill_ghosts = [&](Index3 const& first) {
+    Ghost* const row = row_at(first);
     for (int i = 0; i < layer.extent(0); ++i) {
       if (row[i].source != nothing) continue;
       Index3 cell{first[0] + i, first[1], first[2]};
@@ -83,13 +78,14 @@ std::vector<Ghost> Stencil::ghosts(Level const& level, Layout const& layout, Gho
   };
   if (face.has_coarser)
     for (Overlap const& o : face.neighbours)
-      for_each_row(o.part, [&](Ghost* row, Index3 const&) { std::fill_n(row, o.part.extent(0), Ghost{}); });
+      for_each_row(o.part, [&](Index3 const& first) { std::fill_n(row_at(first), o.part.extent(0), Ghost{}); });
   if (!face.is_wall) {
     int const n = level.domain().extent(axis);
     float const factor =
         level.periodic()[axis] ? float(seam_factor(layer.lower[axis] + inward, side, n, rules.seam_width[axis])) : 1;
     layout.for_each_overlap(layer, [&](CellBlock const& other, Box const& part, Index3 const& shift) {
-      for_each_row(part, [&](Ghost* row, Index3 const& first) {
+      for_each_row(part, [&](Index3 const& first) {
+        Ghost* const row = row_at(first);
         std::ptrdiff_t const place = other.place({first[0] - shift[0], first[1] - shift[1], first[2] - shift[2]});
         for (int i = 0; i < part.extent(0); ++i) row[i] = {std::int32_t(place + i), factor, 1 - factor};
       });

@@ -125,13 +125,11 @@ void Layout::measure_halo(int halo) {
     for (std::size_t own = 0; own < own_blocks_; ++own)
       if (!box.grow(halo).intersect(blocks_[own].box).empty()) near.push_back(blocks_[own].box);
     auto& steps = rows_of_.emplace_back();
-    for (int k = box.lower[2]; k <= box.upper[2]; ++k)
-      for (int j = box.lower[1]; j <= box.upper[1]; ++j) {
-        int nearest = std::numeric_limits<std::int8_t>::max();
-        for (Box const& own : near)
-          nearest = std::min(nearest, apart({{box.lower[0], j, k}, {box.upper[0], j, k}}, own));
-        steps.push_back(std::int8_t(nearest));
-      }
+    for_each_row(box, [&](Index3 const& first) {
+      int nearest = std::numeric_limits<std::int8_t>::max();
+      for (Box const& own : near) nearest = std::min(nearest, apart({first, {box.upper[0], first[1], first[2]}}, own));
+      steps.push_back(std::int8_t(nearest));
+    });
   }
 }
 

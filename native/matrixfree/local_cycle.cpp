@@ -41,14 +41,9 @@ std::vector<PlaneStage> LocalCycle::improve(std::vector<PlaneStage> const& stage
   return out;
 }
 
-Traffic LocalCycle::traffic() const {
-  Traffic const own = coarsening_.of_restriction(true) + swept_.of_right_hand_sides() + coarsening_.of_prolongation();
-  return next_ ? own + next_->traffic() : own;
-}
-
-Real LocalCycle::relaxed_cells() const {
-  Real const own = swept_.relaxed_cells(relaxation_.pre_sweeps, next_ ? 1 : 0);
-  return own + fine_.relaxed_cells(relaxation_.post_sweeps, 0) + (next_ ? next_->relaxed_cells() : 0);
+void LocalCycle::rehearse(SweepWork* work) {
+  swept_.rehearse(work);
+  if (next_) next_->rehearse(work);
 }
 
 std::unique_ptr<LocalCycle> make_local_cycle(Communicator const& comm, SweptLevel& fine,

@@ -27,9 +27,7 @@ class LocalCycle {
   /// Collective.
   std::vector<PlaneStage> improve(std::vector<PlaneStage> const& stages);
 
-  // What this rank sends, and the cells that it relaxes, in a call with the stages that it returns.
-  Traffic traffic() const;
-  Real relaxed_cells() const;
+  void rehearse(SweepWork* work);  ///< on all copies, see SweptLevel
 
   std::unique_ptr<LocalCycle>& next() { return next_; }
   SweptLevel& swept() { return swept_; }

@@ -97,15 +97,13 @@ RectangleExchange::RectangleExchange(Communicator const& comm, Layout const& lay
   if (routes_of && comm.ranks() - 1 > most_direct_readers())
     plan_with_relays(comm, across, routes_of);
   else
-    exchange_ = Exchange<float>(comm, parcels(across.asked, sent_by_update_), parcels(across.wanted, sent_by_add_));
+    exchange_ = Exchange<float>(comm, parcels(across.asked), parcels(across.wanted));
 }
 
-/// What passes in one direction; adds to what this rank sends if that is it.
-std::vector<Parcel> RectangleExchange::parcels(std::vector<CopiedRectangle> const& rectangles, Traffic& sent) {
+/// What passes in one direction.
+std::vector<Parcel> RectangleExchange::parcels(std::vector<CopiedRectangle> const& rectangles) {
   std::vector<Parcel> out;
   for (CopiedRectangle const& r : rectangles) {
-    sent.messages += out.empty() || out.back().rank != r.rank;
-    sent.bytes += std::int64_t(sizeof(float)) * places(r.cells);
     neighbours_.insert(r.rank);
     out.push_back({r.rank, places(r.cells)});
   }
@@ -119,20 +117,17 @@ void RectangleExchange::plan_with_relays(Communicator const& comm, CopiesAcrossR
   relays_->first.push_back(0);
   for (Box const& cells : plan.passed_on) relays_->first.push_back(relays_->first.back() + std::size_t(places(cells)));
   relays_->values.resize(relays_->first.back());
-  auto const steps = [&](std::vector<RelayPlan::Step> const& of, std::vector<CopiedRectangle> const& own,
-                         Traffic& sent) {
+  auto const steps = [&](std::vector<RelayPlan::Step> const& of, std::vector<CopiedRectangle> const& own) {
     std::vector<CopiedRectangle> out;
     for (auto const& step : of)
       out.push_back({step.rank,
                      step.own < 0 ? plan.passed_on[std::size_t(step.passed_on)] : own[std::size_t(step.own)].cells,
                      {}});
-    return parcels(out, sent);
+    return parcels(out);
   };
-  Traffic received;
-  auto const sent_first = steps(plan.sent_first, across.asked, sent_by_update_);
-  exchange_ = Exchange<float>(comm, sent_first, steps(plan.received_first, across.wanted, received));
-  auto const sent_second = steps(plan.sent_second, {}, sent_by_update_);
-  relays_->second_round = Exchange<float>(comm, sent_second, steps(plan.received_second, across.wanted, received));
+  exchange_ = Exchange<float>(comm, steps(plan.sent_first, across.asked), steps(plan.received_first, across.wanted));
+  relays_->second_round =
+      Exchange<float>(comm, steps(plan.sent_second, {}), steps(plan.received_second, across.wanted));
 }
 
 /// How many values of a rectangle pass.

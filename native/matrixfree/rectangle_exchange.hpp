@@ -64,10 +64,7 @@ class RectangleExchange {
   };
   Lists lists() const;
 
-  // What this rank sends in a call of either, as its counters will say; the ranks that it exchanges values with.
-  Traffic of_update() const { return sent_by_update_; }
-  Traffic of_add() const { return sent_by_add_; }
-  std::set<int> const& neighbours() const { return neighbours_; }
+  std::set<int> const& neighbours() const { return neighbours_; }  ///< ranks that this one exchanges values with
 
  private:
   /// Values of a rectangle in two places.
@@ -87,7 +84,7 @@ class RectangleExchange {
                              ForEachPart const& for_each_part) const;
   std::int64_t places(Box const& cells) const;
   void plan_with_relays(Communicator const& comm, CopiesAcrossRanks const& across, RoutesOf const& routes_of);
-  std::vector<Parcel> parcels(std::vector<CopiedRectangle> const& rectangles, Traffic& sent);
+  std::vector<Parcel> parcels(std::vector<CopiedRectangle> const& rectangles);
   void unpack(std::size_t n, float const* in, float* copies) const;
 
   /// What passes through other ranks, and through this one.
@@ -99,7 +96,6 @@ class RectangleExchange {
   };
 
   Colours colours_ = Colours::all;
-  Traffic sent_by_update_, sent_by_add_;
   std::set<int> neighbours_;
   std::vector<Pair> local_;  ///< cells, and the copy
   std::vector<Packed> asked_, wanted_;

@@ -56,6 +56,7 @@ SweptLevel::SweptLevel(Communicator const& comm, std::shared_ptr<Level const> le
 }
 
 std::vector<PlaneStage> SweptLevel::relaxations(int sweeps, bool from_zero, int further) {
+  if (rehearsal_) rehearsal_->sweeps += sweeps, rehearsal_->relaxed += relaxed_cells(sweeps, further);
   std::vector<PlaneStage> out;
   if (from_zero && sweeps == 0) {
     std::fill(e_.begin(), e_.end(), 0.0f);
@@ -90,28 +91,6 @@ Real SweptLevel::relaxed_cells(int sweeps, int further) const {
   return Real(cells) / 2;
 }
 
-Traffic SweptLevel::of_corrections(bool boundary_changed) const {
-  if (!has_halo() || is_thin_) return {};
-  return boundary_changed ? halo_.of_update() + edge_halo_.of_update() : halo_.of_update();
-}
-
-Traffic SweptLevel::of_sweeps(int sweeps, bool from_zero, bool with_residual) const {
-  Traffic out;
-  if (!is_thin_ || !has_halo()) return out;
-  int stale = from_zero ? 0 : both_colours;
-  auto const add = [&](int reads, int changes) {
-    for (int colour : {0, 1})
-      if (reads & stale & colour_bit(colour)) out = out + halo_of_colour_[std::size_t(colour)].of_update();
-    stale = (stale & ~reads) | changes;
-  };
-  for (int half = 0; half < 2 * sweeps; ++half) {
-    HalfSweep const h(half, from_zero);
-    add(h.reads, h.changes);
-  }
-  if (with_residual) add(both_colours, 0);
-  return out;
-}
-
 SweptLevel::PlaceAndDiagonal SweptLevel::place_and_diagonal(Index3 const& cell) const {
   for (int b : layout_.on_plane(cell[2])) {
     CellBlock const& block = layout_.blocks()[std::size_t(b)];
@@ -126,6 +105,7 @@ SweptLevel::PlaceAndDiagonal SweptLevel::place_and_diagonal(Index3 const& cell) 
 /// Run a stage over the rows of own blocks that rows(block, plane) chooses.
 template <class Rows>
 void SweptLevel::pass(PlaneStage const& stage, Rows&& rows) {
+  if (rehearsal_) return;
   for (int k = layout_.first_plane(); k < layout_.first_plane() + layout_.planes(); ++k) {
     for (auto const& [plan, values] : under_way_) plan->poll();
     for (int b : layout_.on_plane(k))
@@ -155,7 +135,7 @@ void SweptLevel::run_one_by_one(std::vector<PlaneStage> const& stages) {
 
 void SweptLevel::run(std::vector<PlaneStage> const& stages) {
   if (is_thin_) return run_one_by_one(stages);
-  wavefront(layout_, stages, [this](int plane) {
+  wavefront(layout_, rehearsal_ ? std::vector<PlaneStage>{} : stages, [this](int plane) {
     halo_.poll();
     if (plane + 1 >= layout_.first_halo_plane()) finish_exchanges();
   });

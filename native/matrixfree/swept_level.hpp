@@ -31,6 +31,12 @@ struct HalfSweep {
   int reads, changes;  ///< colours
 };
 
+/// Sweeps over a level, and the cells that they relax on a rank, both colours being one.
+struct SweepWork {
+  std::int64_t sweeps = 0;
+  Real relaxed = 0;
+};
+
 /// A level with corrections e and right-hand sides r in single precision, r = h² (residual) for the smallest spacing h
 /// of the level, and all that sweeps over it need.
 class SweptLevel {
@@ -67,13 +73,9 @@ class SweptLevel {
   /// alone. Collective.
   void exchange_corrections(bool boundary_changed);
 
-  // What this rank does in calls of these: messages and bytes that it sends, cells that it relaxes, both colours being
-  // one.
-  Traffic of_right_hand_sides() const { return has_halo() && !is_thin() ? halo_.of_update() : Traffic{}; }
-  Traffic of_corrections(bool boundary_changed) const;
-  /// In sweeps over thin copies, from zero or from corrections that have all been set, and a residual that may follow.
-  Traffic of_sweeps(int sweeps, bool from_zero, bool with_residual) const;
-  Real relaxed_cells(int sweeps, int further) const;
+  /// From now on only count sweeps, adding to `work`, and run no stages; values are exchanged as ever. Null: run them
+  /// again.
+  void rehearse(SweepWork* work) { rehearsal_ = work; }
   std::set<int> const& neighbours() const { return is_thin_ ? halo_of_colour_[0].neighbours() : halo_.neighbours(); }
 
   // How copies come: all of them, those of the level's boundary cells, and thin ones by colour.
@@ -105,6 +107,7 @@ class SweptLevel {
   template <class Rows>
   void pass(PlaneStage const& stage, Rows&& rows);
   void run_one_by_one(std::vector<PlaneStage> const& stages);
+  Real relaxed_cells(int sweeps, int further) const;
 
   std::shared_ptr<Level const> level_;
   Real scale_;
@@ -118,6 +121,7 @@ class SweptLevel {
   std::array<RectangleExchange, 2> halo_of_colour_;  ///< of thin copies, in place of both
   int stale_ = both_colours;                         ///< colours of thin copies that are not up to date
   std::vector<std::pair<RectangleExchange const*, Vector*>> under_way_;
+  SweepWork* rehearsal_ = nullptr;
 };
 
 }  // namespace amrpic::matrixfree

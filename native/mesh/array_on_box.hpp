@@ -23,9 +23,7 @@ class ArrayOnBox {
   void fill(Box const& other, T value) {
     Box const part = box_.intersect(other);
     if (part.empty()) return;
-    for (int k = part.lower[2]; k <= part.upper[2]; ++k)
-      for (int j = part.lower[1]; j <= part.upper[1]; ++j)
-        std::fill_n(&(*this)({part.lower[0], j, k}), part.extent(0), value);
+    for_each_row(part, [&](Index3 const& first) { std::fill_n(&(*this)(first), part.extent(0), value); });
   }
 
  private:
@@ -40,11 +38,9 @@ constexpr GlobalIndex no_cell = -1;
 template <class F>
 void for_each_row(Level const& level, int b, Box const& part, Index3 const& shift, F&& f) {
   Box const image = level.box(b).shift(shift);
-  for (int k = part.lower[2]; k <= part.upper[2]; ++k)
-    for (int j = part.lower[1]; j <= part.upper[1]; ++j) {
-      Index3 const first{part.lower[0], j, k};
-      f(level.box_offset(b) + image.offset(first), LocalIndex(part.extent(0)), first);
-    }
+  for_each_row(part, [&](Index3 const& first) {
+    f(level.box_offset(b) + image.offset(first), LocalIndex(part.extent(0)), first);
+  });
 }
 
 /// The numbers of a level's cells in a region, `no_cell` where the level has none; periodic images included.

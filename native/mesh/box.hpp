@@ -34,6 +34,7 @@ struct Box {
   KOKKOS_INLINE_FUNCTION std::ptrdiff_t stride(int axis) const {
     return axis == 0 ? 1 : axis == 1 ? extent(0) : std::ptrdiff_t(extent(0)) * extent(1);
   }
+  Index3 strides() const { return {int(stride(0)), int(stride(1)), int(stride(2))}; }
 
   Box intersect(Box const& other) const {
     Box out;
@@ -91,6 +92,13 @@ inline Index3 parent_of(Index3 const& cell) {
   return {floor_divide(cell[0], 2), floor_divide(cell[1], 2), floor_divide(cell[2], 2)};
 }
 inline Index3 first_child_of(Index3 const& cell) { return {2 * cell[0], 2 * cell[1], 2 * cell[2]}; }
+
+/// Call `f(its first cell)` for each row of a box along x, in the order of memory.
+template <class F>
+void for_each_row(Box const& box, F&& f) {
+  for (int k = box.lower[2]; k <= box.upper[2]; ++k)
+    for (int j = box.lower[1]; j <= box.upper[1]; ++j) f(Index3{box.lower[0], j, k});
+}
 
 /// Call `f(Index3)` for each cell of a box, x fastest.
 template <class F>

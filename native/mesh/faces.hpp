@@ -59,6 +59,21 @@ struct BoxFaces {
   void find_finer(Level const& finer);
 };
 
+/// Call f(box, axis, side, number of the first wall face) for each face of this rank's boxes of a level that lies on a
+/// wall. Wall faces of cells, and the data given on them, are numbered in this order: by axis and side, then box by
+/// box, x fastest in each box.
+template <class F>
+void for_each_wall(Level const& level, F&& f) {
+  GlobalIndex first = 0;
+  for (int axis = 0; axis < 3; ++axis)
+    for (int side = 0; side < 2; ++side)
+      for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
+        if (!level.is_at_wall(level.box(b), axis, side)) continue;
+        f(b, axis, side, first);
+        first += level.box(b).layer(axis, side, 0).cells();
+      }
+}
+
 /// The faces of this rank's boxes of a level, box after box.
 using LevelFaces = std::vector<BoxFaces>;
 LevelFaces faces_of_boxes(Level const& level, Level const* finer);

@@ -10,19 +10,6 @@ namespace amrpic {
 
 namespace {
 
-/// The fit at a cell of a plane with 1 for usable cells.
-FitNumber fit_at(char const* cell, std::ptrdiff_t pitch) {
-  int central = 1;
-  for (char const* c : {cell - pitch, cell, cell + pitch}) central &= c[-1] & c[0] & c[1];
-  if (central) return central_fit;
-  unsigned usable = 0;
-  for (int j = -plane_reach; j <= plane_reach; ++j)
-    for (int i = -plane_reach; i <= plane_reach; ++i)
-      if (cell[i + j * pitch]) usable |= plane_bit(i, j);
-  int const placement = plane_placement(usable);
-  return placement < 0 ? fit_in_gap : FitNumber(placement);
-}
-
 /// The gaps of any boxes of a level, each found once.
 class GapsOfBoxes {
  public:
@@ -80,31 +67,36 @@ ArrayOnBox<FitNumber> fits_behind(Face const& face, int axis, std::vector<Overla
     return !o.part.coarsen(refinement_ratio).intersect(near).empty();
   });
   if (coarse == near.cells() && !refined_near) return out;  // as nearly everywhere
-  ArrayOnBox<char> usable(near, 0);
-  for (Overlap const& o : coarser) usable.fill(o.part, 1);
-  for (Overlap const& o : refined) usable.fill(o.part.coarsen(refinement_ratio), 0);
-  auto const [u, v] = tangential_axes(axis);
-  std::ptrdiff_t const pitch = usable.box().extent(u);  // a plane: rows along u, one after the other
-  FitNumber* fit = out.values().data();
-  char const* middle = usable.values().data() + plane_reach + plane_reach * pitch;
-  for (int j = 0; j < out.box().extent(v); ++j, middle += 2 * plane_reach)
-    for (int i = 0; i < out.box().extent(u); ++i, ++middle, ++fit)
-      if (*fit != no_fit) *fit = fit_at(middle, pitch);
+  auto const usable = usable_cells(near, coarser, refined);
+  for_each_cell(out.box(), [&](Index3 const& cell) {
+    if (out(cell) != no_fit) out(cell) = fit_at(usable, cell, axis);
+  });
   return out;
+}
+
+ArrayOnBox<char> usable_cells(Box const& region, std::vector<Overlap> const& cells,
+                              std::vector<Overlap> const& refined) {
+  ArrayOnBox<char> out(region, 0);
+  for (Overlap const& o : cells) out.fill(o.part, 1);
+  for (Overlap const& o : refined) out.fill(o.part.coarsen(refinement_ratio), 0);
+  return out;
+}
+
+FitNumber fit_at(ArrayOnBox<char> const& usable, Index3 const& middle, int axis) {
+  auto const [u, v] = tangential_axes(axis);
+  char const* const at = &usable(middle);
+  std::ptrdiff_t const step_u = usable.box().stride(u), step_v = usable.box().stride(v);
+  int const placement = plane_placement([&](int i, int j) { return at[i * step_u + j * step_v] != 0; });
+  return placement < 0 ? fit_in_gap : FitNumber(placement);
 }
 
 GapCells::GapCells(Level const& level, Box const& coarse, std::vector<Overlap> const& coarser,
                    std::vector<Overlap> const& refined, Level const* finer)
-    : coarse_(coarse, 0), fine_(coarse.refine(refinement_ratio), 0) {
-  for (Overlap const& o : coarser) coarse_.fill(o.part, 1);
-  for (Overlap const& o : refined) {
-    coarse_.fill(o.part.coarsen(refinement_ratio), 0);
-    if (gap_fits_take_fine_cells(level)) fine_.fill(o.part, 1);
-  }
-  if (!finer) return;
-  for (Overlap const& o : overlaps(*finer, fine_.box().refine(refinement_ratio)))
-    fine_.fill(o.part.coarsen(refinement_ratio), 0);
-}
+    : coarse_(usable_cells(coarse, coarser, refined)),
+      fine_(usable_cells(coarse.refine(refinement_ratio),
+                         gap_fits_take_fine_cells(level) ? refined : std::vector<Overlap>{},
+                         finer ? overlaps(*finer, coarse.refine(refinement_ratio).refine(refinement_ratio))
+                               : std::vector<Overlap>{})) {}
 
 std::array<Box, 6> gaps_behind(BoxFaces const& faces, Level const& level, Level const& coarser) {
   std::array<Box, 6> out;

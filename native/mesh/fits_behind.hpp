@@ -22,6 +22,15 @@ constexpr FitNumber no_fit = 255;      ///< the cell has no ghosts in front of i
 ArrayOnBox<FitNumber> fits_behind(Face const& face, int axis, std::vector<Overlap> const& coarser,
                                   std::vector<Overlap> const& refined);
 
+/// 1 for the usable cells of a region: those of `cells`, parts of it that a level has, without the parents of
+/// `refined`, parts that the next finer level has.
+ArrayOnBox<char> usable_cells(Box const& region, std::vector<Overlap> const& cells,
+                              std::vector<Overlap> const& refined);
+
+/// The fit at a coarse cell behind fine faces across an axis. `usable`: of the coarser level, two cells further in the
+/// plane of the cell.
+FitNumber fit_at(ArrayOnBox<char> const& usable, Index3 const& middle, int axis);
+
 /// The smallest box of coarse cells that holds all fits of a kind, `of(fit)`; empty if there are none.
 template <class Of>
 Box hull_of_fits(ArrayOnBox<FitNumber> const& fits, Of&& of) {

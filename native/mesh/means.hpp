@@ -1,4 +1,4 @@
-// Means of eight children: what a covered cell holds.
+// Between covered cells and their eight children.
 #pragma once
 
 #include <cstddef>
@@ -12,6 +12,12 @@ namespace amrpic {
 inline void average_children(int count, Real const* child, std::ptrdiff_t y, std::ptrdiff_t z,
                              Real* __restrict parent) {
   for (int i = 0; i < count; ++i, child += 2) parent[i] = mean_of_children(child, y, z);
+}
+
+/// Add the values of a row of parents to their children; as above.
+inline void add_to_children(int count, Real const* parent, std::ptrdiff_t y, std::ptrdiff_t z, Real* __restrict child) {
+  for (int i = 0; i < count; ++i, child += 2)
+    for (std::ptrdiff_t row : {std::ptrdiff_t(0), y, z, y + z}) child[row] += parent[i], child[row + 1] += parent[i];
 }
 
 }  // namespace amrpic

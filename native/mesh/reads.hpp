@@ -10,10 +10,6 @@
 
 namespace amrpic {
 
-inline Traffic operator+(Traffic const& a, Traffic const& b) {
-  return {a.messages + b.messages, a.bytes + b.bytes, a.collectives + b.collectives};
-}
-
 /// Cells of one box that another one reads.
 struct Read {
   int rank;           ///< the other one: which owns what this one reads, or reads what this one owns

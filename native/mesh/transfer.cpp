@@ -8,96 +8,162 @@ namespace amrpic {
 
 namespace {
 
-/// Call `f(first, stride_y, stride_z)` for the 2 x 2 x 2 children of each parent in the order of `LevelPair::place`:
-/// the place of the first child among this rank's cells, and the distances to its neighbours along y and z.
-template <class F>
-void for_each_family(Level const& fine, F&& f) {
-  for (int b = fine.first_local_box(); b < fine.last_local_box(); ++b) {
-    Box const& box = fine.box(b);
-    LocalIndex const stride_y = box.extent(0), stride_z = stride_y * box.extent(1), first = fine.local_offset(b);
-    for (int k = 0; k < box.extent(2); k += 2)
-      for (int j = 0; j < box.extent(1); j += 2)
-        for (int i = 0; i < box.extent(0); i += 2) f(first + i + j * stride_y + k * stride_z, stride_y, stride_z);
-  }
+/// The means that boxes of a level read of finer ones.
+Reads reads_of_means(Level const& level, Level const& finer) {
+  return coarsened(reads_across_ranks(
+                       level, finer, [](Box const& o) { return o.coarsen(refinement_ratio); },
+                       [&](int b, auto&& read) { read(level.box(b).refine(refinement_ratio)); }),
+                   refinement_ratio);
 }
 
-/// Places, ascending, of own covered cells of a level whose children other ranks own.
-std::vector<LocalIndex> with_children_elsewhere(LevelFaces const& faces, Level const& fine) {
-  std::vector<LocalIndex> out;
-  LocalIndex first = 0;
-  for (BoxFaces const& at : faces) {
-    for (Overlap const& o : at.covered)
-      if (fine.owner(o.box) != fine.rank())
-        for_each_cell(o.part, [&](Index3 const& cell) { out.push_back(first + LocalIndex(at.box.offset(cell))); });
-    first += LocalIndex(at.box.cells());
-  }
-  std::sort(out.begin(), out.end());
+Families families_of(Communicator const& comm, Level const& level, LevelFaces const& faces, Level const& finer) {
+  Families out;
+  out.means.add(0, reads_of_means(level, finer));
+  out.means.plan(comm);
+  out.of_box.resize(std::size_t(finer.last_local_box() - finer.first_local_box()));
+  out.is_remote.assign(faces.size(), 0);
+  for (std::size_t b = 0; b < faces.size(); ++b)
+    for (Overlap const& o : faces[b].covered) {
+      int const number = level.first_local_box() + int(b);
+      Index3 const pitch = faces[b].box.strides(), parents{o.part.extent(0), o.part.extent(1), o.part.extent(2)};
+      auto const parent = std::int32_t(level.local_offset(number) + faces[b].box.offset(o.part.lower));
+      if (finer.owner(o.box) == finer.rank()) {
+        Index3 const child = o.part.refine(refinement_ratio).shift_back(finer.box(o.box).lower).lower;
+        out.of_box[std::size_t(o.box - finer.first_local_box())].push_back(
+            {parent, pitch[1], pitch[2], child, parents});
+      } else {
+        std::int32_t const from = out.means.find(0, number, 0, o.box, o.shift, o.part).from;
+        out.remote.push_back({from, parent, pitch[1], pitch[2], parents});
+        out.is_remote[b] = 1;
+      }
+    }
   return out;
+}
+
+/// Call f(cells in a row, the row's first child in the owner's box) for the rows of parents that another rank reads.
+template <class F>
+void for_each_row_read(Level const& finer, Read const& read, F&& f) {
+  Box const part = read.cells();
+  for_each_row(part, [&](Index3 const& parent) {
+    f(part.extent(0), finer.local_offset(read.owner) + finer.box(read.owner).offset(first_child_of(parent)));
+  });
 }
 
 }  // namespace
 
 Transfer::Transfer(std::shared_ptr<Hierarchy const> hierarchy) : hierarchy_(std::move(hierarchy)) {
-  for (int l = 0; hierarchy_->has_finer(l); ++l) pairs_.push_back(make_pair(l));
+  for (int l = 0; hierarchy_->has_finer(l); ++l)
+    families_.push_back(
+        families_of(hierarchy_->comm(), hierarchy_->level(l), hierarchy_->faces(l), hierarchy_->level(l + 1)));
 }
 
-Transfer::LevelPair Transfer::make_pair(int l) const {
-  Level const& coarse = hierarchy_->level(l);
-  Level const& fine = hierarchy_->level(l + 1);
-
-  CellReads reads(coarse);
-  reads.add(
-      fine, [](Box const& o) { return o.refine(refinement_ratio); },
-      [&](int b, auto&& read) { read(fine.box(b).coarsen(refinement_ratio)); });
-  LevelPair pair;
-  pair.parents = Halo(hierarchy_->comm(), reads);
-  pair.place.reserve(std::size_t(fine.local_cells()) / 8);
-  for (int b = fine.first_local_box(); b < fine.last_local_box(); ++b) {
-    auto const places = pair.parents.places(coarse, fine.box(b).coarsen(refinement_ratio));
-    pair.place.insert(pair.place.end(), places.values().begin(), places.values().end());
+/// Call f(number of parents, place of the first one, place of its first child) for the rows of parents on this rank
+/// whose children lie in planes k and k + 1 of a box.
+template <class F>
+void Transfer::for_each_row_of_pair(int level, int b, int k, F&& f) const {
+  Level const& finer = hierarchy_->level(level);
+  int const number = finer.first_local_box() + b;
+  std::ptrdiff_t const y = finer.box(number).stride(1), z = finer.box(number).stride(2);
+  for (Family const& family : families_[std::size_t(level - 1)].of_box[std::size_t(b)]) {
+    int const plane = (k - family.child[2]) / 2;
+    if (k < family.child[2] || plane >= family.parents[2]) continue;
+    std::ptrdiff_t parent = family.parent + std::ptrdiff_t(plane) * family.pitch_z;
+    std::ptrdiff_t child = finer.local_offset(number) + family.child[0] + family.child[1] * y + k * z;
+    for (int j = 0; j < family.parents[1]; ++j, parent += family.pitch_y, child += 2 * y)
+      f(family.parents[0], parent, child);
   }
-  if (coarse.ranks() > 1) pair.children_elsewhere = with_children_elsewhere(hierarchy_->faces(l), fine);
-  return pair;
+}
+
+void Transfer::average_pair(int level, int b, int k, Field& field) const {
+  Box const& box = hierarchy_->level(level).box(hierarchy_->level(level).first_local_box() + b);
+  std::ptrdiff_t const y = box.stride(1), z = box.stride(2);
+  Real const* const fine = field.level(level).data();
+  Real* const coarse = field.level(level - 1).data();
+  for_each_row_of_pair(level, b, k, [&](int count, std::ptrdiff_t parent, std::ptrdiff_t child) {
+    average_children(count, fine + child, y, z, coarse + parent);
+  });
+}
+
+void Transfer::send_means(int level, std::vector<Field*> const& fields) const {
+  Level const& finer = hierarchy_->level(level);
+  families_[std::size_t(level - 1)].means.start(
+      [&](int, Read const& read, Real* out) {
+        Box const& box = finer.box(read.owner);
+        for (Field const* field : fields)
+          for_each_row_read(finer, read, [&](int count, GlobalIndex child) {
+            average_children(count, field->level(level).data() + child, box.stride(1), box.stride(2), out);
+            out += count;
+          });
+      },
+      fields.size());
+}
+
+void Transfer::take_means(int level, std::vector<Field*> const& fields) const {
+  Families const& families = families_[std::size_t(level - 1)];
+  families.means.finish();
+  for (RemoteFamily const& family : families.remote) {
+    std::ptrdiff_t const cells = std::ptrdiff_t(family.parents[0]) * family.parents[1] * family.parents[2];
+    for (std::size_t f = 0; f < fields.size(); ++f) {
+      // of several fields those of a read come one after the other
+      Real const* const means =
+          families.means.values() + std::ptrdiff_t(fields.size() - 1) * family.from + std::ptrdiff_t(f) * cells;
+      Real* const coarse = fields[f]->level(level - 1).data();
+      family.for_each_row([&](std::ptrdiff_t from, std::ptrdiff_t parent) {
+        std::copy_n(means + from, family.parents[0], coarse + parent);
+      });
+    }
+  }
+}
+
+void Transfer::settle() const {
+  for (Families const& families : families_) families.means.settle();
 }
 
 void Transfer::average_down(std::vector<Field*> const& fields) const {
-  for (int l = int(pairs_.size()) - 1; l >= 0; --l) {
-    LevelPair const& pair = pairs_[l];
-    std::vector<Real*> own;
-    std::vector<Real const*> halos;
-    std::vector<std::vector<Real>> halo(fields.size(), std::vector<Real>(std::size_t(pair.parents.size())));
-    for (std::size_t f = 0; f < fields.size(); ++f) {
-      Real const* fine = fields[f]->level(l + 1).data();
-      Real* coarse = fields[f]->level(l).data();
-      for (LocalIndex cell : pair.children_elsewhere) coarse[cell] = 0;
-      std::size_t n = 0;
-      LocalIndex const owned = pair.parents.owned();
-      for_each_family(hierarchy_->level(l + 1), [&](LocalIndex child, LocalIndex y, LocalIndex z) {
-        LocalIndex const place = pair.place[n++];
-        average_children(1, fine + child, y, z, place < owned ? coarse + place : &halo[f][std::size_t(place - owned)]);
-      });
-      own.push_back(coarse);
-      halos.push_back(halo[f].data());
-    }
-    pair.parents.fold(own, halos);
+  for (int l = int(families_.size()); l > 0; --l) {
+    for (int b = 0; b < int(families_[std::size_t(l - 1)].of_box.size()); ++b)
+      for (int k = 0; k < hierarchy_->level(l).box(hierarchy_->level(l).first_local_box() + b).extent(2); k += 2)
+        for (Field* field : fields) average_pair(l, b, k, *field);
+    send_means(l, fields);
+    take_means(l, fields);
   }
+  settle();
 }
 
 void Transfer::spread(Field& field) const {
-  for (int l = 0; l < int(pairs_.size()); ++l) {
-    LevelPair const& pair = pairs_[l];
-    Real const* coarse = field.level(l).data();
-    Real* fine = field.level(l + 1).data();
-    std::vector<Real> halo(std::size_t(pair.parents.size()));
-    pair.parents.update({coarse}, {halo.data()});
-    std::size_t n = 0;
-    LocalIndex const owned = pair.parents.owned();
-    for_each_family(hierarchy_->level(l + 1), [&](LocalIndex child, LocalIndex y, LocalIndex z) {
-      LocalIndex const place = pair.place[n++];
-      Real const value = place < owned ? coarse[place] : halo[std::size_t(place - owned)];
-      for (LocalIndex c : {child, child + y, child + z, child + y + z}) fine[c] += value, fine[c + 1] += value;
+  for (int l = 1; l <= int(families_.size()); ++l) {
+    Families const& families = families_[std::size_t(l - 1)];
+    Level const& finer = hierarchy_->level(l);
+    Real const* const coarse = field.level(l - 1).data();
+    Real* const fine = field.level(l).data();
+    for (int b = finer.first_local_box(); b < finer.last_local_box(); ++b)
+      for (int k = 0; k < finer.box(b).extent(2); k += 2)
+        for_each_row_of_pair(
+            l, b - finer.first_local_box(), k, [&](int count, std::ptrdiff_t parent, std::ptrdiff_t child) {
+              add_to_children(count, coarse + parent, finer.box(b).stride(1), finer.box(b).stride(2), fine + child);
+            });
+    std::vector<Real> values(std::size_t(families.means.size()));
+    for (RemoteFamily const& family : families.remote)
+      family.for_each_row([&](std::ptrdiff_t from, std::ptrdiff_t parent) {
+        std::copy_n(coarse + parent, family.parents[0], values.data() + from);
+      });
+    families.means.fold(values.data(), [&](int, Read const& read, Real const* in) {
+      Box const& box = finer.box(read.owner);
+      for_each_row_read(finer, read, [&](int count, GlobalIndex child) {
+        add_to_children(count, in, box.stride(1), box.stride(2), fine + child);
+        in += count;
+      });
     });
   }
+}
+
+std::size_t Transfer::bytes() const {
+  std::size_t sum = 0;
+  for (Families const& families : families_) {
+    for (auto const& of_box : families.of_box) sum += sizeof of_box + of_box.capacity() * sizeof(Family);
+    sum += families.remote.capacity() * sizeof(RemoteFamily) + families.is_remote.capacity() + families.means.memory();
+  }
+  return sum;
 }
 
 }  // namespace amrpic

@@ -95,7 +95,7 @@ class FormsNear {
       return out;
     }
     auto const [u, v] = tangential_axes(axis);
-    for (auto const& term : plane_fit(face.placement, quarter(upper_u), quarter(upper_v)).terms) {
+    for (auto const& term : plane_fit(face.fit, quarter(upper_u), quarter(upper_v)).terms) {
       Index3 cell = behind.middle;
       cell[u] += term.i, cell[v] += term.j;
       out.append(unknown(behind.coarse, cell), term.weight);

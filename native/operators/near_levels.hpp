@@ -31,8 +31,8 @@ struct NearLevels {
   /// Look up those near the next box on the other levels: what its stencils read, and further parents; children where
   /// the finer level has any of its cells.
   ArrayOnBox<LocalIndex> add(Box const& box, StencilCells const& n, Box const& parents) {
-    if (coarser) coarse_places.add(coarser->places(n.coarse.box().empty() ? parents : n.coarse.box()));
-    Box children = n.fine.box();  // those beside other boxes' refined cells included
+    if (coarser) coarse_places.add(coarser->places(n.coarse_usable.box().empty() ? parents : n.coarse_usable.box()));
+    Box children = n.children;  // those beside other boxes' refined cells included
     if (finer && children.empty() && finer->level().intersects(box.refine(ratio_above)))
       children = box.refine(ratio_above);
     auto fine = children.empty() ? ArrayOnBox<LocalIndex>(children, no_place) : finer->places(children);

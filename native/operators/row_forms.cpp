@@ -31,9 +31,10 @@ std::vector<Line> lines_of(Level const& level) {
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
     Box const& box = level.box(b);
     LocalIndex row = level.local_offset(b);
-    for (int k = box.lower[2]; k <= box.upper[2]; ++k)
-      for (int j = box.lower[1]; j <= box.upper[1]; ++j, row += box.extent(0))
-        out.push_back({row, box.extent(0), b - level.first_local_box(), box.lower[0], j, k});
+    for_each_row(box, [&](Index3 const& first) {
+      out.push_back({row, box.extent(0), b - level.first_local_box(), first[0], first[1], first[2]});
+      row += box.extent(0);
+    });
   }
   return out;
 }

@@ -16,18 +16,13 @@ Real3 Walls::position(Domain const& domain, Level const& level, std::size_t face
 
 Walls find_walls(Domain const& domain, Level const& level) {
   Walls out;
-  for (int axis = 0; axis < 3; ++axis)
-    for (int side = 0; side < 2; ++side) {
-      Boundary const kind = domain.boundary[axis][side];
-      if (kind == Boundary::periodic) continue;
-      for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
-        Box const& box = level.box(b);
-        if (!level.is_at_wall(box, axis, side)) continue;
-        for_each_cell(box.layer(axis, side, 0), [&](Index3 const& cell) {
-          out.faces.push_back({level.local_offset(b) + LocalIndex(box.offset(cell)), cell, axis, side, kind});
-        });
-      }
-    }
+  for_each_wall(level, [&](int b, int axis, int side, GlobalIndex) {
+    Box const& box = level.box(b);
+    for_each_cell(box.layer(axis, side, 0), [&](Index3 const& cell) {
+      out.faces.push_back(
+          {level.local_offset(b) + LocalIndex(box.offset(cell)), cell, axis, side, domain.boundary[axis][side]});
+    });
+  });
   out.datum.assign(out.faces.size(), 0.0);
   return out;
 }

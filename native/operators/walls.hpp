@@ -7,8 +7,9 @@
 
 namespace amrpic {
 
-/// The wall faces of this rank's cells of a level, and the datum given on each: a potential (V) on the face for
-/// Dirichlet, an outward derivative (V/m) on the face for Neumann, the potential (V) at the ghost centre for open.
+/// The wall faces of this rank's cells of a level, numbered as in `for_each_wall`, and the datum given on each: a
+/// potential (V) on the face for Dirichlet, an outward derivative (V/m) on the face for Neumann, the potential (V) at
+/// the ghost centre for open.
 struct Walls {
   struct Face {
     LocalIndex row;

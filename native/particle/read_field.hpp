@@ -338,12 +338,11 @@ class RemoteField {
     Window const& window = windows[w];
     Level const& level = hierarchy_.level(window.level);
     Real const* value = at(brick, w, window.cells.lower);
-    for (int k = window.cells.lower[2]; k <= window.cells.upper[2]; ++k)
-      for (int j = window.cells.lower[1]; j <= window.cells.upper[1]; ++j) {
-        Real* out = tile.row(window.cells.lower[0], j, k);
-        for (int n = 0; n < window.cells.extent(0); ++n, value += components, out += lanes)
-          store(out, Cell{value[0], value[1], value[2], 0});
-      }
+    for_each_row(window.cells, [&](Index3 const& first) {
+      Real* out = tile.row(first[0], first[1], first[2]);
+      for (int n = 0; n < window.cells.extent(0); ++n, value += components, out += lanes)
+        store(out, Cell{value[0], value[1], value[2], 0});
+    });
     if (!window.whole && w + 1 < windows.size())
       for_each_missing(level, window, [&](Index3 const& cell) {
         interpolate(

@@ -69,9 +69,7 @@ std::vector<OfRank> exchanged(Communicator const& comm, std::map<int, std::vecto
 /// cell.
 template <class F>
 void for_each_row_of(Box const& box, Box const& part, F&& f) {
-  for (int k = part.lower[2]; k <= part.upper[2]; ++k)
-    for (int j = part.lower[1]; j <= part.upper[1]; ++j)
-      f(std::size_t(box.offset({part.lower[0], j, k})), std::size_t(part.extent(0)));
+  for_each_row(part, [&](Index3 const& first) { f(std::size_t(box.offset(first)), std::size_t(part.extent(0))); });
 }
 
 }  // namespace

@@ -76,29 +76,22 @@ constexpr Real quarter(bool upper) { return upper ? 0.25 : -0.25; }
 constexpr std::array<Real, 3> parabola_at_quarter{
     lagrange(-1, 3, 0, quarter(false)), lagrange(-1, 3, 1, quarter(false)), lagrange(-1, 3, 2, quarter(false))};
 
-/// Bit of the coarse cell at offset (i, j), each in -2 .. 2.
-constexpr int plane_reach = 2;  ///< how far the cells of the plane lie from the middle one, along each axis
-constexpr unsigned plane_bit(int i, int j) { return 1u << (5 * (i + 2) + (j + 2)); }
+constexpr int plane_reach = 2;  ///< how far the cells that phi* may take lie from the one behind it, along each axis
 
-/// The 3 x 3 block with lower corner (i, j).
-constexpr unsigned plane_block(int i, int j) {
-  unsigned mask = 0;
-  for (int a = 0; a < 3; ++a)
-    for (int b = 0; b < 3; ++b) mask |= plane_bit(i + a, j + b);
-  return mask;
-}
-
-/// Lower corners of the nine 3 x 3 blocks, in the order in which they are tried: bit patterns 473536, 14798, 236768,
-/// 15153152, 947072, 29596, 7399, 7576576, 30306304.
+/// Lower corners of nine blocks of 3 x 3 coarse cells around the one behind the ghost, in the order in which they are
+/// tried: bit patterns 473536, 14798, 236768, 15153152, 947072, 29596, 7399, 7576576, 30306304 of the 5 x 5 cells.
 constexpr std::array<std::pair<int, int>, 9> plane_corners{
     {{-1, -1}, {-2, -1}, {-1, -2}, {0, -1}, {-1, 0}, {-2, 0}, {-2, -2}, {0, -2}, {0, 0}}};
 
-/// The first of the nine blocks that is complete, -1 if none is; `usable` says which of the 25 cells around the one
-/// behind the ghost exist, lie inside the domain and are uncovered.
-constexpr int plane_placement(unsigned usable) {
+/// The first of the nine blocks that is complete, -1 if none is; `is_usable(i, j)`: whether the cell at that offset
+/// from the one behind the ghost exists, lies inside the domain and is uncovered.
+template <class IsUsable>
+constexpr int plane_placement(IsUsable&& is_usable) {
   for (std::size_t p = 0; p < plane_corners.size(); ++p) {
-    unsigned const block = plane_block(plane_corners[p].first, plane_corners[p].second);
-    if ((usable & block) == block) return int(p);
+    bool complete = true;
+    for (int n = 0; complete && n < 9; ++n)
+      complete = is_usable(plane_corners[p].first + n / 3, plane_corners[p].second + n % 3);
+    if (complete) return int(p);
   }
   return -1;
 }

@@ -168,7 +168,7 @@ Blocks<Real> CrsBackend::blocks(LevelVector& (MultigridLevel::*vector)()) {
   for (int l = 0; l < mesh.levels(); ++l)
     values.push_back((cycle_level(l).*vector)().own().getLocalViewHost(Tpetra::Access::ReadWrite).data());
   mesh.for_each_box([&](int l, int b) {
-    Index3 const pitch = pitches(mesh.box(l, b));
+    Index3 const pitch = mesh.box(l, b).strides();
     out[std::size_t(l)].push_back({values[std::size_t(l)] + mesh.offset(l, b), pitch[1], pitch[2]});
   });
   return out;

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from functools import singledispatch
@@ -11,9 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _native
+from .errors import InputError
 from .io import field_maps
 from .mesh.directions import axes
-from .mesh.window import AT_REST, Window
+from .mesh.domain import AXES, Domain
+from .mesh.window import AT_REST, Window, vector
 from .particles.species import Species
 from .scene.bunches import DescribedBunch
 from .scene.elements import (
@@ -45,6 +48,7 @@ Kind = (
 )
 Maps = Mapping[tuple[str, int | None], field_maps.FieldMap]  # by file and iteration
 EVERYWHERE = (-math.inf, math.inf)
+ROUNDING = 1e-9  # of a period, by which what is as long may be longer
 
 
 class ExternalFields:
@@ -56,10 +60,13 @@ class ExternalFields:
         species: Species | None = None,
         momentum: tuple[float, float, float] = (0.0, 0.0, 0.0),
         maps: Maps | None = None,
+        domain: Domain | None = None,
+        repeats: Sequence[int] = (),
     ) -> None:
         """Make the fields of elements; wave numbers of focusing refer to a species and its mean momentum in kg m/s.
 
-        Maps that are not given are read from their files. Raises InputError if one cannot be used.
+        Maps that are not given are read from their files. Along the axes `repeats` of a `domain` elements repeat with its
+        period, see `images`. Raises InputError if a map cannot be used, or an element would lie over its own images.
         """
         known = read_maps(elements) if maps is None else maps
         self.elements = [
@@ -68,15 +75,22 @@ class ExternalFields:
             else element
             for element in elements
         ]
-        self.native = _native.ExternalFields([native_element(element, known) for element in self.elements])
+        self.native = _native.ExternalFields(
+            [
+                native_element(image, known)
+                for number, element in enumerate(self.elements)
+                for image in images(element, f"elements.{number}", known, domain, repeats)
+            ]
+        )
 
     @classmethod
     def of_scene(cls, scene: Scene, maps: Maps | None = None) -> Self:
-        """Return the fields of the elements of a scene."""
-        first = scene.bunches[0] if scene.bunches else None
+        """Return the fields of the elements of a scene, which repeat where space does, unless the mesh moves along it."""
+        domain, first = scene.domain.value, scene.bunches[0] if scene.bunches else None
+        repeats = [axis for axis in np.flatnonzero(domain.periodic).tolist() if axis != scene.window_axis]
         if isinstance(first, DescribedBunch):
-            return cls(scene.elements, first.species, first.mean_momentum, maps)
-        return cls(scene.elements, maps=maps)
+            return cls(scene.elements, first.species, first.mean_momentum, maps, domain, repeats)
+        return cls(scene.elements, maps=maps, domain=domain, repeats=repeats)
 
     def seen_from(self, window: Window) -> Self:
         """Return the same fields in the coordinates of a window."""
@@ -143,6 +157,57 @@ def native_element(element: Element, maps: Maps) -> _native.ExternalElement:
     return _native.ExternalElement(
         element.centre, axes(element.direction, element.roll), extent(element), field, slopes(element)
     )
+
+
+def images(
+    element: Element, name: str, maps: Maps, domain: Domain | None = None, repeats: Sequence[int] = ()
+) -> list[Element]:
+    """Return an element and its images where space repeats along the axis that it lies along.
+
+    They are those whose fields reach into the domain, or half a period beyond its faces, where flights end. What reaches over
+    all of the domain has no ends, and no images. Raises InputError, with the `name`, for what would lie over its own images.
+    """
+    frame = np.array(axes(element.direction, element.roll))
+    along = int(np.argmax(np.abs(frame[2])))
+    first, last = ends(element, maps)
+    if domain is None or along not in repeats or math.isinf(last - first):
+        return [element]
+    # in its own axes: the domain, how far the planes at its ends rise within, and the way from one image to the next
+    corners = (
+        np.array(list(itertools.product(*zip(domain.lower, domain.upper, strict=True)))) - element.centre
+    ) @ frame.T
+    low, high = corners[:, 2].min(), corners[:, 2].max()
+    rises = np.abs(corners[:, 0]).max() * np.abs(slopes(element))
+    period = domain.period(along)
+    step = period * frame[2, along]
+    if last - first > (1 + ROUNDING) * abs(step):
+        if first + rises[0] <= low and high <= last - rises[1]:
+            return [element]
+        raise InputError(
+            f"{name} is {last - first:g} m long, where space repeats along {AXES[along]} after {period:g} m, so that it would "
+            "lie over its own images; shorten it, or let it reach over all of the domain"
+        )
+    lower, upper = extent(element)
+    if math.isinf(upper - lower):  # the next image on either side of a coil, all of a map
+        beyond = 0.0 if isinstance(element, MapElement) else abs(step)
+        lower, upper = first - beyond, last + beyond
+    margin = abs(step) / 2
+    numbers = sorted([(low - margin - upper - rises[1]) / step, (high + margin - lower + rises[0]) / step])
+    shift = period * np.eye(3)[along]
+    return [
+        element.model_copy(update={"centre": vector(element.centre + n * shift)})
+        for n in range(math.ceil(numbers[0]), math.floor(numbers[1]) + 1)
+    ]
+
+
+def ends(element: Element, maps: Maps) -> tuple[float, float]:
+    """Return where along its own axis an element begins and ends, in m from its centre; fringes reach beyond."""
+    if isinstance(element, MapElement):
+        given = maps[element.file, element.iteration]
+        nodes = next(values for values in (given.electric, given.magnetic) if values is not None).shape[-2]
+        return given.lower[-1], given.lower[-1] + (nodes - 1) * given.spacing[-1]
+    length = element.length  # type: ignore[attr-defined]
+    return EVERYWHERE if length is None else (-length / 2, length / 2)
 
 
 def extent(element: Element) -> tuple[float, float]:

@@ -243,8 +243,14 @@ def test_loops_over_cells_are_found():
 NUMBERS = r"0?\.(75|25|125|2)f?"
 QUOTIENTS = r"(8 ?/ ?15|[28] ?/ ?3|1 ?/ ?5|[53] ?/ ?32|3 ?/ ?4|15 ?/ ?16)"
 WEIGHTS = re.compile(rf"(?<![\w.])({NUMBERS}|{QUOTIENTS})(?![\w.])")
-# Numbers that are no weights: how near to its centre corrections may vanish in a cell, and those of the lattice's function.
-OTHER_NUMBERS = {"operators/semicoarse.cpp": 1, "freespace/lattice_green.cpp": 2, "freespace/lattice_green.hpp": 1}
+# Numbers that are no weights: how near to its centre corrections may vanish in a cell, from where copies are multipoles, and
+# those of the lattice's function.
+OTHER_NUMBERS = {
+    "operators/semicoarse.cpp": 1,
+    "freespace/acceptance.hpp": 1,
+    "freespace/lattice_green.cpp": 2,
+    "freespace/lattice_green.hpp": 1,
+}
 
 
 def weights_in(text: str) -> list[str]:

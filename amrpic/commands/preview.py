@@ -81,7 +81,7 @@ def preview(comm: MPI.Comm, scene: Scene, ranks: int, seconds: float = 0.0) -> s
     made = fields.particles.global_count(comm) + lost
     if lost:
         notes.append(f"{lost} of {made} particles lie outside the domain and would be lost")
-    settle_time_step(plan, fields.particles, fields.hierarchy, fields.frames, course)
+    settle_time_step(fields, course, own_field=False)
     if isinstance(scene.motion, Leapfrog) and scene.motion.dt == "auto":
         notes.append("the particles' own field, which a preview does not solve for, may ask for a shorter motion.dt")
     notes += warnings_of(scene, fields.particles_per_cell, bunches[1:])

@@ -1,4 +1,4 @@
-"""What a preview warns of: bunches that the mesh does not resolve, too few particles in cells, walls that are near."""
+"""What a preview warns of: bunches that the mesh does not resolve, too few particles in cells, open faces that are near."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from ..units import falls_short
 
 CELLS_PER_SIGMA = 2.0
 PARTICLES_PER_CELL = 3.0  # in cells that hold any, on the level that holds most particles
-SIGMAS_TO_WALL = 4.0
+SIGMAS_TO_FACE = 4.0
 
 
 @dataclass(frozen=True)
@@ -66,17 +66,19 @@ def _of_bunch(name: str, copies: Sequence[_Extent], hierarchy: Hierarchy) -> Ite
             f"{name} has {cells[axis]:.2g} cells of the finest level per rms size along {AXES[axis]}, where "
             f"{CELLS_PER_SIGMA:g} are advisable; raise refinement.levels or domain.cells"
         )
-    for side, face, end in (("lower", domain.lower, "first"), ("upper", domain.upper, "last")):
+    for at, (side, face, end) in enumerate((("lower", domain.lower, "first"), ("upper", domain.upper, "last"))):
         distance = np.min([np.abs(face - one.mean) / one.rms for one in copies], axis=0)
         # beyond the last particle; a bunch that ends well before the face is none of these
         room = np.min(
             [np.abs(face - one.mean) - np.abs(getattr(one, end) - one.mean) - one.rms for one in copies], axis=0
         )
-        axis = int(np.argmin(np.where(np.array(domain.periodic) | (room > 0), np.inf, distance)))
-        if not domain.periodic[axis] and room[axis] <= 0 and falls_short(distance[axis], SIGMAS_TO_WALL):
+        # walls may be near on purpose, as a cathode is
+        cut = np.array([faces[at] == "open" for faces in domain.boundary]) & (room <= 0)
+        axis = int(np.argmin(np.where(cut, distance, np.inf)))
+        if cut[axis] and falls_short(distance[axis], SIGMAS_TO_FACE):
             yield (
                 f"{name} has its centre {distance[axis]:.2g} rms sizes from the face {AXES[axis]}_{side}, where "
-                f"{SIGMAS_TO_WALL:g} are advisable; enlarge the domain"
+                f"{SIGMAS_TO_FACE:g} are advisable; enlarge the domain"
             )
 
 

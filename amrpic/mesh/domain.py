@@ -74,6 +74,23 @@ class Domain:
         """Whether the faces fix the potential only up to a constant."""
         return all(face in ("neumann", "periodic") for faces in self.boundary for face in faces)
 
+    @property
+    def zero_of_phi(self) -> str:
+        """What fixes the constant in the potential, in words."""
+        faces = {face for pair in self.boundary for face in pair}
+        closed = [axis for axis, pair in enumerate(self.boundary) if "open" not in pair]
+        if "dirichlet" in faces:
+            return "φ is that of the Dirichlet faces"
+        if "open" not in faces:
+            return "the mean of φ is zero"
+        if not closed:
+            return "φ is zero at infinity"
+        if len(closed) == 2:
+            return "far away φ tends to -σ|d|/2ε₀, d being the distance from the charge, σ its density per area"
+        (axis,) = closed
+        period = (self.upper[axis] - self.lower[axis]) * (1 if self.periodic[axis] else 2)
+        return f"far away φ tends to -λ ln(r/L)/2πε₀, λ being the charge per length and L = {period:g} m"
+
 
 def _three(given: Sequence[Any] | float, kind: Callable[[Any], Any], what: str) -> tuple:
     try:

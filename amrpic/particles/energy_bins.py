@@ -14,9 +14,10 @@ from mpi4py import MPI
 from ..errors import InputError
 from ..mesh.domain import AXES, Domain
 from ..mesh.mirror import SIGNS, Mirror
+from ..mesh.window import vector
 from .arrays import empty_columns
 from .frame import LABORATORY, SLOW, STATIC, Frame
-from .motion_of_charge import Flow, Left, charges, flow, largest, left, mean_momentum, noise, rapidity
+from .motion_of_charge import Flow, Left, charges, flow, largest, left, mean_momentum, noise, rapidity, squares
 from .motion_of_charge import momenta as momenta_of
 from .particles import Particles
 from .species import LARGEST_MOMENTUM
@@ -37,7 +38,8 @@ OFF_AXIS = 0.1  # rad / γ between the mean velocity and a mesh axis
 SURE = 4.0  # standard deviations of a mean by which a sample may be off
 SAME = 1e-6  # relative change of β γ below which a frame is kept, and the solver with it
 SAMPLE = 50_000  # particles of which the errors are estimated
-EVERY = 16  # steps from one choice to the next
+CHANGE = 1.5  # either way, of what is left of motion in the frames since parts were chosen, beyond which they are chosen anew
+LEAST = 1e-5  # of <β²> that counts for that: about (2 FEW)² / (CHANGE - 1), where charges of both signs begin to drift
 
 
 class Charge(NamedTuple):
@@ -66,6 +68,9 @@ class Frames:
     moves: tuple[float, float, float] = field(
         default=(0.0, 0.0, 0.0), compare=False
     )  # β γ of all momentum when they were made
+    motion: tuple[tuple[float, ...], ...] = field(
+        default=(), compare=False
+    )  # what is left of it in each, of `_motion`, when parts were chosen
     turn: tuple[tuple[float, ...], ...] | None = field(
         default=None, compare=False
     )  # matrix that turns momenta, which lag places, along the axes of a mesh that turns as they would; None: it does not
@@ -134,36 +139,53 @@ def frames_of(
     choice: str = "auto",
     bins: int | None = 1,
     last: Frames = ONE_FRAME,
-    anew: bool = True,
 ) -> Frames:
     """Return the frames in which to solve for the field of the particles. Collective; InputError on all ranks.
 
     `choice`: "lab"; "rest", each part in the frame in which its charge rests in the mean; or "auto", the laboratory for slow
     parts, and below β² = 0.01 for those that move along no mesh axis or across walls. `bins`: so many frames at most, None: as
-    many as the motion of the charge asks for. Parts are chosen `anew`, or stay those of `last`, the frames of the step before;
-    these are kept while they fit.
+    many as the motion of the charge asks for. Parts are those of `last`, the frames of the step before, until the motion that
+    is left in these has changed by the factor `CHANGE` since they were chosen. So they follow from the motion, and not from
+    the number of steps.
     """
     if choice != "rest" and (most := largest(comm, particles)) < STATIC:
         return replace(ONE_FRAME, error=most)
     moves = mean_momentum(comm, particles)
-    if not anew and last.only == LABORATORY:
-        if moves @ moves < STATIC:
-            return last
-        anew = int(np.argmax(np.abs(moves))) != last.axis
-    if not anew and np.linalg.norm(moves - last.moves) <= SAME * np.linalg.norm(moves):
-        return last
-    axis, edges = last.axis, last.edges
-    groups = list(last.of)
-    if anew:
-        mean, square = momenta_of(comm, particles)
-        if not square.sum() <= LARGEST_MOMENTUM**2:
-            raise InputError(
-                f"the rms momentum is {math.sqrt(square.sum()):.3g} m c, more than {LARGEST_MOMENTUM:g}; correct momenta "
-                "(kg m/s) or fields, or shorten the time step"
-            )
-        axis = int(np.argmax(mean**2 + BOTH_WAYS * square))
-        one_frame = choice == "lab" or bins == 1
-        edges, groups = ((), [ALL]) if one_frame else _divided(comm, particles, axis, bins)
+    if last.motion:
+        stays = last.only == LABORATORY and moves @ moves < STATIC
+        if stays or np.linalg.norm(moves - last.moves) <= SAME * np.linalg.norm(moves):
+            found = last
+        else:
+            found, flows = _framed(comm, particles, domain, choice, last, (last.axis, last.edges, last.of))
+            found = replace(found, error=last.error, across=last.across, motion=last.motion, moves=vector(moves))
+            _require_slow_in_laboratory(comm, particles, choice, found, flows)
+        if not _has_changed(_motion(comm, particles, found), last.motion):
+            return found
+    mean, square = momenta_of(comm, particles)
+    if not square.sum() <= LARGEST_MOMENTUM**2:
+        raise InputError(
+            f"the rms momentum is {math.sqrt(square.sum()):.3g} m c, more than {LARGEST_MOMENTUM:g}; correct momenta "
+            "(kg m/s) or fields, or shorten the time step"
+        )
+    axis = int(np.argmax(mean**2 + BOTH_WAYS * square))
+    one_frame = choice == "lab" or bins == 1
+    edges, groups = ((), [ALL]) if one_frame else _divided(comm, particles, axis, bins)
+    found, flows = _framed(comm, particles, domain, choice, last, (axis, edges, groups))
+    found = _errors(comm, particles, found, flows)
+    _require_slow_in_laboratory(comm, particles, choice, found, flows)
+    return replace(found, moves=vector(moves), motion=_motion(comm, particles, found))
+
+
+def _framed(
+    comm: MPI.Comm,
+    particles: Particles,
+    domain: Domain,
+    choice: str,
+    last: Frames,
+    divided: tuple[int, tuple[float, ...], Sequence[Part]],
+) -> tuple[Frames, list[Flow]]:
+    """Return the frames of parts, and how the charge of each moves. Collective; InputError on all ranks."""
+    axis, edges, groups = divided[0], divided[1], list(divided[2])
     flows = [flow(comm, part, axis) for part in _parts(particles, axis, edges, groups)]
     if choice != "lab":
         _require_along(comm, particles, domain, axis, (edges, groups), flows)
@@ -174,15 +196,34 @@ def frames_of(
         for n in reversed(at_rest[1:]):
             del groups[n], momenta[n]
         flows = [flow(comm, part, axis) for part in _parts(particles, axis, edges, groups)]
-    found = Frames(tuple(Frame(axis, u) if u else LABORATORY for u in momenta), axis, edges, tuple(groups))
-    found = _errors(comm, particles, found, flows) if anew else replace(found, error=last.error, across=last.across)
+    members = tuple(Frame(axis, u) if u else LABORATORY for u in momenta)
+    return _kept(Frames(members, axis, edges, tuple(groups)), last), flows
+
+
+def _motion(comm: MPI.Comm, particles: Particles, frames: Frames) -> tuple[tuple[float, ...], ...]:
+    """Return what is left of motion of each part in its frame: <β_d²>, and <β_d>² of the charge with its sign. Collective."""
+    parts = _parts(_some(comm, particles), frames.axis, frames.edges, frames.of)
+    sums = comm.allreduce(np.array([squares(part, frame) for part, frame in zip(parts, frames.members, strict=True)]))
+    means = np.divide(sums[:, 1:], sums[:, :1], out=np.zeros((len(sums), 6)), where=sums[:, :1] != 0)
+    return tuple(map(tuple, (means ** (1, 1, 1, 2, 2, 2)).tolist()))
+
+
+def _has_changed(motion: Sequence[Sequence[float]], before: Sequence[Sequence[float]]) -> bool:
+    """Whether motion that is left is more or less than it was, or of other parts."""
+    now, then = (np.maximum(np.array(of), LEAST) for of in (motion, before))
+    return now.shape != then.shape or not (np.abs(np.log(now / then)) <= math.log(CHANGE)).all()
+
+
+def _require_slow_in_laboratory(
+    comm: MPI.Comm, particles: Particles, choice: str, found: Frames, flows: Sequence[Flow]
+) -> None:
+    """Raise InputError on all ranks if the laboratory is chosen for charge whose magnetic field counts."""
     if choice == "lab" and (error := max(found.error - found.across, flows[0].beta @ flows[0].beta)) > SLOW:
         speed = math.sqrt(left(comm, particles, LABORATORY).square.sum())
         raise InputError(
             f'motion.frame is "lab", but the particles move with {speed:.3g} c, where their magnetic field counts, by about '
             f'{error:.1%} of the force; use "rest" or "auto"'
         )
-    return replace(_kept(found, last), moves=(float(moves[0]), float(moves[1]), float(moves[2])))
 
 
 def _momentum(flow: Flow, domain: Domain, axis: int, choice: str) -> float:
@@ -380,8 +421,10 @@ def _errors(comm: MPI.Comm, particles: Particles, found: Frames, flows: Sequence
 
 def _some(comm: MPI.Comm, particles: Particles) -> Particles:
     """Return as many particles as a mean over them needs, the same on any ranks. Collective."""
-    every = particles.global_count(comm) // SAMPLE
-    return particles if every < 2 else particles.select(particles.id % every == 0)
+    every = (
+        1 << max(particles.global_count(comm) // SAMPLE, 1).bit_length() - 1
+    )  # masks take a third of what remainders do
+    return particles if every == 1 else particles.select(np.flatnonzero(particles.id & (every - 1) == 0))
 
 
 def _seen(charge: np.ndarray, rapidity: np.ndarray) -> np.ndarray:

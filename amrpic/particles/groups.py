@@ -73,6 +73,11 @@ class Groups:
             raise KeyError(name)
         return Groups(self.starts, self.species, (name,), (self.members[self.names.index(name)],))
 
+    def only(self, members: Sequence[frozenset[int]]) -> Groups:
+        """Return the groups that have one of these members."""
+        found = [(name, own) for name, own in zip(self.names, self.members, strict=True) if own in members]
+        return Groups(self.starts, self.species, tuple(name for name, _ in found), tuple(own for _, own in found))
+
     @property
     def distinct(self) -> list[frozenset[int]]:
         """The members of groups, those of several equal groups once."""

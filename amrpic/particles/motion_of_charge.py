@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -125,6 +126,38 @@ def noise(comm: MPI.Comm, particles: Particles, flow: Flow, axis: int) -> float:
     return float(square / flow.charge**2 / flow.per_gamma_square / (1 - share)) if share < 1 else 0.0
 
 
+def _seen_from(frame: Frame, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return velocities over c (3, k) in a frame of particles with p/mc (3, k), and their γ there over that in the laboratory.
+
+    A difference of large numbers is that of their squares over their sum.
+    """
+    along, across = u[frame.axis], 1 + sum(u[d] ** 2 for d in range(3) if d != frame.axis)
+    gamma = np.sqrt(across + along**2)
+    if frame.momentum == 0:
+        return u / gamma, np.ones(len(gamma))
+    moves, of_frame = abs(frame.momentum), frame.gamma
+    slow = moves * np.sqrt(across)  # p/mc along of what goes with the frame
+    fast = np.abs(along)
+    there = (across * of_frame**2 + along**2) / (of_frame * gamma + moves * fast)
+    rest = (fast - slow) * (fast + slow) / (of_frame * fast + moves * gamma)
+    if not (ahead := along * frame.momentum > 0).all():
+        there = np.where(ahead, there, of_frame * gamma + moves * fast)
+        rest = np.where(ahead, rest, -(of_frame * fast + moves * gamma))
+    beta = u / there
+    beta[frame.axis] = math.copysign(1.0, frame.momentum) * rest / there
+    return beta, there / gamma
+
+
+def squares(particles: Particles, frame: Frame) -> np.ndarray:
+    """Return sums (7,) of the charge of this rank's particles as it is in a frame: |w q|, |w q| β_d² there, and w q β_d."""
+    weighs, sign, sums = charges(particles), np.sign(particles.charge), np.zeros(7)
+    for run, u in _blocks(particles):
+        beta, ratio = _seen_from(frame, u)
+        weight = weighs[run] * ratio  # a length between charges is another one in each frame
+        sums += weight.sum(), *(beta**2 @ weight), *(beta @ (weight * sign[run]))
+    return sums
+
+
 def left(comm: MPI.Comm, particles: Particles, frame: Frame) -> Left:
     """Return what is left of the motion of particles in a frame. Collective.
 
@@ -136,13 +169,8 @@ def left(comm: MPI.Comm, particles: Particles, frame: Frame) -> Left:
     places = min(max(round((count / EACH) ** (1 / 3)), 2), PLACES)
     sums, cells = np.zeros(4), np.zeros((8, places**3))
     for run, u in _blocks(particles):
-        across = 1 + sum(u[d] ** 2 for d in range(3) if d != frame.axis)
-        own = np.arcsinh(u[frame.axis] / np.sqrt(across))
-        y = own - frame.rapidity
-        gamma = np.sqrt(across) * np.cosh(y)
-        beta = u / gamma
-        beta[frame.axis] = np.tanh(y)
-        weight = weighs[run] * np.cosh(y) / np.cosh(own)  # a length between charges is another one in each frame
+        beta, ratio = _seen_from(frame, u)
+        weight = weighs[run] * ratio
         sums += *(beta**2 @ weight), weight.sum()
         place = (
             ((particles.position.T[:, run] - centre) / size * places / 4 + places / 2)

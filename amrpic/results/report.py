@@ -75,7 +75,7 @@ def make(folder: Path) -> str:
         status = RunStatus.read(folder)
     sections = [
         ("Pictures", _pictures(folder, int(series["particles"][-1]))),
-        ("Beam", _beam(folder, series)),
+        ("Beam", _beam(folder, series, scene)),
         ("Solver", _solver(folder, series)),
         ("Time", _time(series, status)),
         ("Remarks", _remarks(scene, status)),
@@ -132,9 +132,10 @@ def _pictures(folder: Path, particles: int) -> str:
     return f'<div class="pictures">{"".join(figures)}</div>' if figures else ""
 
 
-def _beam(folder: Path, series: Table) -> str:
+def _beam(folder: Path, series: Table, scene: Scene) -> str:
     moves = len(np.unique(series["time"])) > 1
     out = _image(curves.draw(series, curves.BEAM, *(("time", "s") if moves else ("step",))), "beam")
+    out += f"<p>Potential energy is ½ ∫ ρφ dV; {escape(scene.domain.value.zero_of_phi)}.</p>"
     with contextlib.suppress(InputError):
         beam = time_series.read(folder / "beam.csv")
         rows = [_group(row) for row in beam[beam["step"] == beam["step"].max(initial=0)]]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 from mpi4py import MPI
@@ -21,10 +20,10 @@ from ..stages.beam_diagnostics import (
     Slice,
     Value,
     group_losses,
-    group_moments,
     group_quantiles,
     group_slices,
     group_values,
+    moments_by_kind,
     slice_values,
 )
 from ..units import Quantity
@@ -105,14 +104,15 @@ class BeamTables:
             self._record_own(state, name, diagnostic)
 
     def _record_beam(self, state: State) -> None:
-        comm, groups, beam = self._comm, self._groups, state.beam
-        moments = group_moments(comm, beam, groups, state.hierarchy.domain)
-        if not any(part.weight > 0 for part in moments.values()):  # test particles alone, of which each counts as one
-            ones = beam.particles.with_weight(np.broadcast_to(1.0, len(beam.particles)))
-            groups = replace(groups, species=tuple(replace(one, charge=0.0) for one in groups.species))
-            beam = replace(beam, particles=ones)
-            moments = group_moments(comm, beam, groups, state.hierarchy.domain)
-        quantiles = group_quantiles(comm, beam, groups, moments)
+        comm, groups = self._comm, self._groups
+        moments: dict[frozenset[int], Part] = {}
+        quantiles: dict[frozenset[int], Quantiles] = {}
+        slices: dict[frozenset[int], list[Slice]] = {}
+        for beam, some, found in moments_by_kind(comm, state.beam, groups, state.hierarchy.domain):
+            moments |= found
+            quantiles |= group_quantiles(comm, beam, some, found)
+            if SLICES in self._series:
+                slices |= group_slices(comm, beam, some, found, self._slices)
         lost = group_losses(comm, state.lost.particles, groups)
         at: dict[str, float | str] = {"step": state.step, "time": state.time, "s": state.course.path}
         named = list(zip(groups.names, groups.members, strict=True))
@@ -128,7 +128,6 @@ class BeamTables:
             )
         )
         if SLICES in self._series:
-            slices = group_slices(comm, beam, groups, moments, self._slices)
             self._series[SLICES].add(
                 *(
                     {**at, "group": name, "slice": number, **_row(slice_values(one))}

@@ -13,7 +13,6 @@ from .. import _native
 from ..external import ExternalFields
 from ..mesh.domain import AXES
 from ..mesh.window import AT_REST, Vector, Window, vector, window_of
-from ..scene.motion import Leapfrog
 from ..scene.scene import Scene
 from ..stages.push import pusher_of
 from ..units import SPEED_OF_LIGHT
@@ -77,9 +76,7 @@ class Course:
             return cls()
         species = start.species
         reference = Reference(start.position, start.mean_momentum, species.charge, species.mass)
-        assert isinstance(scene.motion, Leapfrog)
-        axis = scene.window_axis
-        if axis is None:
+        if (axis := scene.window_axis) is None:
             return cls(reference)
         if not all(face == "open" for pair in scene.domain.boundary.values() for face in pair):
             return cls(reference, goes=AXES[axis], start=reference.position[axis]).on_base_of(scene)

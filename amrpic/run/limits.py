@@ -10,6 +10,7 @@ from pathlib import Path, PurePath
 from mpi4py import MPI
 
 from ..errors import SceneError
+from ..external import ExternalFields
 from ..mesh.boxes import Array, cells_of
 from ..parallel import global_max, global_sum, node_of, raise_together
 from ..scene.domain import LARGEST_INDEX
@@ -54,7 +55,8 @@ def rank_cells_error(cells: int, ranks: int, where: str = "domain.cells") -> str
 
 
 def check_scene(scene: Scene, ranks: int, available: int | None = None) -> None:
-    """Raise SceneError if files of a scene are missing, or its base level and particles cannot be held by so many ranks.
+    """Raise SceneError if files of a scene are missing, or its base level and particles cannot be held by so many ranks, and
+    InputError if the field of an element cannot be made.
 
     Refined levels are not known yet; a run looks at them when they are.
     """
@@ -64,6 +66,7 @@ def check_scene(scene: Scene, ranks: int, available: int | None = None) -> None:
                 f"{scene.name}: bunches.{number}.file ({bunch.source}) does not exist; correct the path (relative ones start "
                 "at the scene file)"
             )
+    ExternalFields.of_scene(scene)
     _refuse(scene, base_boxes(scene), scene.particle_count(), ranks, available, "domain.cells")
 
 

@@ -11,7 +11,7 @@ from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..parallel import global_sum
 from ..particles.energy_bins import Frames
-from ..particles.frame import Frame
+from ..particles.frame import LABORATORY, Frame
 from ..particles.motion_of_charge import charges
 from ..particles.particles import Particles
 from ..stages.deposit import Deposition, deposit
@@ -63,10 +63,11 @@ class ParticleFields:
         """What is solved for of the particles, from the potentials that are known. Collective; SolverError if a solve fails."""
         plan, frames, known = self.plan, self.frames, self.known
         plan.keep_solvers(frames)
+        if frames.only != LABORATORY:
+            self._require_balance()
         if (only := frames.only) is not None:
             return self._of_one_frame(only)
         plan.go_without_compensation()
-        self._require_balance()
         guesses = self._guesses(known, frames), self._guesses(None if known is None else known.images, frames.images)
         parts: list[Part] = []
         images: list[Part] = []
@@ -120,12 +121,14 @@ class ParticleFields:
         return global_sum(self.plan.comm, charges(self.particles).sum()) if self.plan.needs_balance else 0.0
 
     def _require_balance(self) -> None:
-        """Raise SolverError on all ranks if charge that is solved for in parts has no potential as a whole. Collective."""
+        """Raise SolverError on all ranks if charge that is solved for apart from walls has no potential. Collective."""
         net = self.rho.integral() if self.plan.needs_balance else 0.0
         if abs(net) > BALANCED * self._deposited:
+            apart = " and no domain.slope, whose field is solved for apart from charge that moves,"
             raise SolverError(
-                f"all faces are periodic or Neumann, but the net charge is {net:.3g} C, which no potential can balance; make "
-                'it zero, ask for background = "neutralizing", or give one face a potential'
+                f"all faces are periodic or Neumann, but the net charge is {net:.3g} C, which no potential"
+                f"{apart if self.plan.scene.domain.slope else ''} can balance; make it zero, ask for background = "
+                '"neutralizing", or give one face a potential'
             )
 
     @cached_property

@@ -74,19 +74,18 @@ class Plan:
         particles: Particles,
         last: Frames = ONE_FRAME,
         lost: Particles | None = None,
-        anew: bool = True,
         turn: np.ndarray | None = None,
         window: Window = AT_REST,
     ) -> Frames:
         """Return the frames in which to solve for the field of particles that move. Collective; InputError on all ranks.
 
-        `last` are those of the step before, whose energy bins stay unless they are chosen `anew`. Where no frame fits them, a
-        single particle and the last few of which the others are `lost` keep them. `turn`: see `Frames`. `window`: where the
-        mesh is, and so the walls that it leaves.
+        `last` are those of the step before, whose energy bins stay while they fit. Where no frame fits them, a single particle
+        and the last few of which the others are `lost` keep them. `turn`: see `Frames`. `window`: where the mesh is, and so the
+        walls that it leaves.
         """
         if not isinstance(self.scene.motion, Leapfrog):
             return ONE_FRAME
-        return mirrored(self._frames(self.scene.motion, particles, last, lost, anew, turn), last, self.scene, window)
+        return mirrored(self._frames(self.scene.motion, particles, last, lost, turn), last, self.scene, window)
 
     def _frames(
         self,
@@ -94,15 +93,12 @@ class Plan:
         particles: Particles,
         last: Frames,
         lost: Particles | None,
-        anew: bool,
         turn: np.ndarray | None,
     ) -> Frames:
         bins = None if motion.energy_bins == "auto" else motion.energy_bins
         last = replace(last, turn=None if turn is None else tuple(map(vector, turn)))
         try:
-            found = frames_of(
-                self.comm, last.straight(particles), self.scene.domain.value, motion.frame, bins, last, anew
-            )
+            found = frames_of(self.comm, last.straight(particles), self.scene.domain.value, motion.frame, bins, last)
         except InputError:
             if particles.global_count(self.comm) > 1 and self._share_left(particles, lost) > FEW:
                 raise
@@ -111,11 +107,10 @@ class Plan:
                 "of their self-field, which is solved for as if they moved on as before"
             )
             return last
-        if anew:
-            self._say_what_is_left(found)
+        self.say_what_is_left(found)
         return replace(found, turn=last.turn)
 
-    def _say_what_is_left(self, frames: Frames) -> None:
+    def say_what_is_left(self, frames: Frames) -> None:
         """Note in how many frames the self-field is solved for and the estimated error, again where either grew by much."""
         count, error = len(frames.members), frames.error
         if (count > 1 or error > STATIC) and (count != self._told[0] or error > 2 * self._told[1]):
@@ -177,11 +172,15 @@ class Plan:
         self._solvers[frame, part] = PoissonSolver(
             hierarchy,
             options=options,
-            background="neutralizing" if part or self.scene.background == "neutralizing" else None,
+            background="neutralizing" if part else self._background,
             mirror=mirror,
             reuse=kept,
         )
         return self._solvers[frame, part]
+
+    @property
+    def _background(self) -> str | None:
+        return None if self.scene.background == "none" else self.scene.background
 
     @property
     def needs_balance(self) -> bool:
@@ -232,14 +231,19 @@ class Plan:
     def walls(self, hierarchy: Hierarchy, frames: Frames) -> tuple[Field, VectorField] | None:
         """Return φ and E of what the walls hold where a solution in these frames is without it, being of others. Collective.
 
-        It is solved for once on each mesh, in the laboratory.
+        It is solved for once on each mesh, in the laboratory. Raises SolverError if its flux has no potential.
         """
         if frames.only == LABORATORY or (self._potential is None and self._slope is None):
             return None
         if self._walls is None or self._walls[0].hierarchy is not hierarchy:
             with self.clock("solve"):
-                solver = PoissonSolver(hierarchy, options=self.scene.solver)
-                phi, report = solver.solve(Field(hierarchy), None, self._potential, self._slope)
+                solver = PoissonSolver(hierarchy, options=self.scene.solver, background=self._background)
+                try:
+                    phi, report = solver.solve(Field(hierarchy), None, self._potential, self._slope)
+                except SolverError as refused:
+                    raise SolverError(
+                        f"domain.slope, whose field is solved for apart from charge that moves: {refused}"
+                    ) from None
                 self._require_converged(report)
                 self._walls = phi, solver.deferred_field(phi, covered=self.clouds.covered)
         return self._walls

@@ -184,26 +184,33 @@ def _state(plan: Plan, held: Snapshot, stored: Hierarchy, hierarchy: Hierarchy) 
     course = Course.from_dict(extra["course"]) if "course" in extra else Course.of_scene(plan.scene)
     course = course.on_base_of(plan.scene)
     solution = _solution(plan, fields, extra)
+    known = ParticleFields(particles, hierarchy, plan, solution, solution.frames)
     if another:
-        frames = mirrored(solution.frames, solution.frames, plan.scene, course.window)
-        moved = follow(ParticleFields(particles, hierarchy, plan, solution, frames))
-        particles, hierarchy, solution = moved.particles, moved.hierarchy, moved.solution
+        known.frames = mirrored(solution.frames, solution.frames, plan.scene, course.window)
+        known = follow(known)
+    else:
+        known.solution = solution
     lost, screens = _records(held, species, hierarchy.domain)
     given = held.header.about.scene["motion"].get("dt")
     before = extra.get("dt", given)
     if math.isnan(plan.dt) and given == "auto":
         plan.dt = before
     if plan.dt != before:
-        settle_time_step(plan, particles, hierarchy, solution.frames, course, solution)
-    return state_of(plan, particles, solution, lost, screens, course, held.header.step, held.header.time, lag)
+        settle_time_step(known, course)
+    return state_of(
+        plan, known.particles, known.solution, lost, screens, course, held.header.step, held.header.time, lag
+    )
 
 
 def _solution(plan: Plan, fields: Mapping[str, Field], extra: Mapping[str, Any]) -> Solution:
     """Return what was solved for, as a checkpoint holds it. Collective."""
     frames, images = _frames(extra), None
+    plan.say_what_is_left(frames)  # so that what the log has up to the checkpoint does not come again
     solution = _part(fields, frames, extra["report"], OF_CHARGE)
     if frames.only is not None:
         plan.compensate(solution.efield, solution.rho, frames.only)
+    else:
+        plan.go_without_compensation()
     if (reflected := frames.images) is not None:
         images = _part(fields, reflected, extra["report_of_images"], OF_IMAGES, OF_IMAGES)
     walls = plan.walls(solution.rho.hierarchy, frames)
@@ -261,8 +268,19 @@ def _frames(extra: Mapping[str, Any]) -> Frames:
     of = tuple(tuple(Charge(*charge) for charge in part) for part in held["of"])
     turn = None if held.get("turn") is None else tuple(map(vector, held["turn"]))
     mirror = None if held.get("mirror") is None else Mirror.from_dict(held["mirror"])
-    errors = held["error"], held["across"], vector(held["moves"])
-    return Frames(members, held["axis"], tuple(held["edges"]), of, *errors, turn, mirror, held.get("leaves", False))
+    return Frames(
+        members,
+        held["axis"],
+        tuple(held["edges"]),
+        of,
+        held["error"],
+        held["across"],
+        vector(held["moves"]),
+        tuple(map(tuple, held.get("motion", ()))),
+        turn,
+        mirror,
+        held.get("leaves", False),
+    )
 
 
 def _records(held: Snapshot, species: SpeciesTable, domain: Domain) -> tuple[Record, Record]:

@@ -11,7 +11,6 @@ from mpi4py import MPI
 from ..errors import InputError
 from ..mesh.domain import Domain
 from ..mesh.window import part_of
-from ..particles.energy_bins import EVERY
 from ..particles.particles import Particles
 from ..scene.motion import Leapfrog, RandomWalk
 from ..stages.push import random_walk
@@ -40,13 +39,11 @@ def advance(state: State, plan: Plan) -> State:
         particles, deposition, lost, screens = fly(state, moved, course.window, plan)
     turn = state.window.turn_to(course.window)
     behind = None if turn is None else part_of(turn.T, plan.dt / 2 / state.flight)  # momenta are, of the latest turn
-    anew = step % EVERY == 0
-    last = frames_with_images(state, plan) if anew else state.solution.frames
-    frames = plan.frames(particles, last, lost.particles, anew, behind, course.window)
+    frames = plan.frames(particles, frames_with_images(state, plan), lost.particles, behind, course.window)
     fields = ParticleFields(particles, state.hierarchy, plan, state.solution, frames, deposition)
     if plan.scene.refinement.regrids_at(step) or outrun(fields):
         fields = follow(fields, plan.scene.refinement.hysteresis)
-    check_time_step(plan, fields.particles, fields.solution, step)
+    check_time_step(fields, step)
     # Boxes may be cut anew without another cell, as after a restart on other ranks.
     regridded = fields.hierarchy is not state.hierarchy and not fields.hierarchy.same_cells(state.hierarchy)
     return state_of(plan, fields.particles, fields.solution, lost, screens, course, step, now, plan.dt / 2, regridded)
@@ -67,7 +64,7 @@ def begin(plan: Plan) -> State:
         particles, lost, screens = place(bunches, base, course.window, plan, start)
     _require_some_inside(plan.comm, particles, made)
     fields = follow(ParticleFields(particles, base, plan))
-    settle_time_step(plan, fields.particles, fields.hierarchy, fields.frames, course, fields.solution)
+    settle_time_step(fields, course)
     return state_of(plan, fields.particles, fields.solution, lost, screens, course, 0, start)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -24,6 +25,7 @@ from ..units import SPEED_OF_LIGHT, VACUUM_PERMITTIVITY, falls_short
 from .course import Course
 from .element_strengths import Strength, strength
 from .leapfrog import felt
+from .particle_fields import ParticleFields
 from .plan import Plan
 from .solution import Solution
 
@@ -63,24 +65,16 @@ class Fastest:
     current_per_mass: float  # |q v| / (γ m), C m/(kg s)
 
 
-def settle_time_step(
-    plan: Plan,
-    particles: Particles,
-    hierarchy: Hierarchy,
-    frames: Frames,
-    course: Course,
-    solution: Solution | None = None,
-) -> None:
+def settle_time_step(fields: ParticleFields, course: Course, own_field: bool = True) -> None:
     """Choose the plan's time step where the scene leaves that to the run and it is not known yet, and note which rule it is.
 
-    A remark says of a step that the scene gives if it is long. The particles are sorted on the hierarchy, and `frames` are
-    those of their self-field, which counts if a `solution` holds it. Collective; InputError on all ranks if nothing in the
-    run has a time of its own.
+    A remark says of a step that the scene gives if it is long. The self-field is solved for, and counts, if `own_field` says
+    so. Collective; InputError on all ranks if nothing in the run has a time of its own.
     """
-    motion = plan.scene.motion
+    plan, motion = fields.plan, fields.plan.scene.motion
     if not isinstance(motion, Leapfrog):
         return
-    found = [one for one in processes(plan, particles, hierarchy, frames, course, solution) if one.time < math.inf]
+    found = processes(fields, course, own_field)
     if motion.dt != "auto":
         _remark(plan, found, 'shorten it, or set it to "auto"')
     elif math.isnan(plan.dt):
@@ -98,12 +92,11 @@ def settle_time_step(
         plan.notes.append(f"motion.dt: {plan.dt:.4g} s, {first.steps:g} steps per {first.what}")
 
 
-def check_time_step(plan: Plan, particles: Particles, solution: Solution, step: int) -> None:
+def check_time_step(fields: ParticleFields, step: int) -> None:
     """Remark if the plan's step has become long for charge or field at a later step, once for each kind. Collective."""
-    if isinstance(plan.scene.motion, Leapfrog) and step % EVERY == 0:
-        found = own_processes(plan, particles, solution.rho.hierarchy, solution.frames, solution)
-        known = [process for process in found if process.time < math.inf]
-        _remark(plan, known, "go on from an earlier checkpoint with a shorter one", f" at step {step}")
+    if isinstance(fields.plan.scene.motion, Leapfrog) and step % EVERY == 0:
+        remedy = "go on from an earlier checkpoint with a shorter one"
+        _remark(fields.plan, processes(fields), remedy, f" at step {step}")
 
 
 def _remark(plan: Plan, found: list[Process], remedy: str, when: str = "") -> None:
@@ -118,44 +111,47 @@ def _remark(plan: Plan, found: list[Process], remedy: str, when: str = "") -> No
             )
 
 
-def processes(
-    plan: Plan,
-    particles: Particles,
-    hierarchy: Hierarchy,
-    frames: Frames,
-    course: Course,
-    solution: Solution | None = None,
-) -> Iterator[Process]:
-    """Return what goes on in a run at its start. Collective.
+def processes(fields: ParticleFields, course: Course | None = None, own_field: bool = True) -> list[Process]:
+    """Return what goes on in a run and takes a time: what charge and own field do, and with a course motion and elements.
+    Collective.
 
     Fields from Python are not looked at.
     """
-    fast = fastest(plan.comm, particles, course)
+    fast = None if course is None else fastest(fields.plan.comm, fields.particles, course)
+    found = itertools.chain(
+        _of_motion(fields.plan, fast) if fast else (),
+        _of_charge(fields, own_field),
+        _of_elements(fields.plan, fast) if fast else (),
+    )
+    return [process for process in found if process.time < math.inf]
+
+
+def _of_motion(plan: Plan, fast: Fastest) -> Iterator[Process]:
     widths = plan.scene.domain.value.spacing / 2**plan.scene.refinement.levels
     for axis, width, speed in zip(AXES, widths, fast.along, strict=True):
         what = f"passage of a particle through a cell of the finest level along {axis}"
         yield Process("cell", what, _time(width, speed), PER_CELL, LEAST_PER_CELL)
-    yield from own_processes(plan, particles, hierarchy, frames, solution)
+
+
+def _of_charge(fields: ParticleFields, own_field: bool) -> Iterator[Process]:
+    clouds, hierarchy = fields.plan.clouds, fields.hierarchy
+    particles, frames = fields.frames.straight(fields.particles), replace(fields.frames, turn=None)
+    of_all, single = (law(particles, hierarchy, clouds, frames) for law in (plasma_frequency, oscillation))
+    what = "plasma period" if single < 1.1 * of_all else "oscillation of a particle in the charge of all"
+    period = _time(2 * math.pi, max(of_all, single))
+    yield Process("plasma", what, period, PER_PLASMA_PERIOD, LEAST_PER_PLASMA_PERIOD)
+    if own_field:
+        gain, across = own_changes(particles, fields.solution, clouds)
+        for what, rate in (("gain of γ m c", gain), ("gain of m c across the motion", across)):
+            what += " in the particles' own field"
+            yield Process("own", what, _time(1.0, rate), PER_GAIN, LEAST_PER_GAIN)
+
+
+def _of_elements(plan: Plan, fast: Fastest) -> Iterator[Process]:
     elements = plan.external.elements
     strengths = from_rank_0(plan.comm, lambda: [strength(element) for element in elements], InputError)  # reads maps
     for number, (element, of) in enumerate(zip(elements, strengths, strict=True)):
         yield from _processes_in(of, element.name or f"elements.{number}", fast)
-
-
-def own_processes(
-    plan: Plan, particles: Particles, hierarchy: Hierarchy, frames: Frames, solution: Solution | None = None
-) -> Iterator[Process]:
-    """Return what the charge of the particles does, and their own field if it is known. Collective."""
-    particles, frames = frames.straight(particles), replace(frames, turn=None)
-    of_all, single = (law(particles, hierarchy, plan.clouds, frames) for law in (plasma_frequency, oscillation))
-    what = "plasma period" if single < 1.1 * of_all else "oscillation of a particle in the charge of all"
-    period = _time(2 * math.pi, max(of_all, single))
-    yield Process("plasma", what, period, PER_PLASMA_PERIOD, LEAST_PER_PLASMA_PERIOD)
-    if solution is not None:
-        gain, across = own_changes(particles, solution, plan.clouds)
-        for what, rate in (("gain of γ m c", gain), ("gain of m c across the motion", across)):
-            what += " in the particles' own field"
-            yield Process("own", what, _time(1.0, rate), PER_GAIN, LEAST_PER_GAIN)
 
 
 def _processes_in(of: Strength, name: str, fast: Fastest) -> Iterator[Process]:

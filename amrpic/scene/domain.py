@@ -8,7 +8,8 @@ from typing import Annotated, Any, Self
 from pydantic import BeforeValidator, Field, WithJsonSchema, model_validator
 
 from ..errors import HierarchyError
-from ..mesh.domain import AXES, BOUNDARIES, Domain
+from ..mesh.domain import AXES, BOUNDARIES, FACES, Domain
+from ..mesh.rims import rims_of
 from .boundary_values import Function, Potentials, Slopes, require_kind, wall_function
 from .complaints import close_match, complaint, complaint_of
 from .per_face import pairs_of, schema_of
@@ -17,6 +18,7 @@ from .units import Index3, Length3
 
 SHORTEST, LONGEST = 1e-30, 1e30  # m; of a domain: squares of volumes are numbers still
 RESOLVED = 1e-10  # of a place: how wide cells are at least, so that a place in one has four digits on 15 levels
+JUMP = 1e-2  # of a potential at a rim, from where on it draws a remark
 LARGEST_INDEX = 2**31 - 1  # cells are counted in 32 bits along an axis and on a rank
 _FACE = {"enum": list(BOUNDARIES)}
 BOUNDARY_SCHEMA = {"anyOf": [_FACE, schema_of(_FACE)]}
@@ -55,18 +57,24 @@ class DomainSection(CuboidSection):
         WithJsonSchema(BOUNDARY_SCHEMA),
     ] = Field(
         default=dict.fromkeys(AXES, ("open", "open")),
-        description="open, dirichlet (0 V), neumann (no flux) or periodic: one for all faces, or per axis one or a "
-        "pair (lower, upper). Open, φ(∞) = 0, is the default because a bunch in free space is the usual case.",
+        description="open, dirichlet (0 V), neumann (no flux) or periodic: one for all faces, or per axis one or a pair "
+        "(lower, upper). Open is the default because a bunch in free space is the usual case. All kinds go together: behind "
+        "open faces lies free space, with the images of the charge in walls and periods, which reach on without end. "
+        "While a face is open or Dirichlet, the net charge may be any. Dirichlet faces fix φ. Without any, φ(∞) = 0; "
+        "but where one axis has no open face, φ tends to -λ ln(r/L)/2πε₀ around it, where two have none to -σ|z|/2ε₀ "
+        "beside them, λ and σ being the charge per length and area, and L the period, or twice the distance of "
+        "Neumann faces. Without open faces the mean of φ is zero.",
     )
     potential: Potentials = Field(
         default={},
         description='Potential of Dirichlet faces, V, per axis one or a pair (lower, upper): numbers, strings such as "5 kV", '
-        'or formulas in x, y and z (m) such as "1e6*(x^2 - y^2)". Faces without one are at 0 V.',
+        'or formulas in x, y and z (m) such as "1e6*(x^2 - y^2)". Faces without one are at 0 V. Beyond '
+        "open faces a wall goes on at the mean of its potential where it meets them.",
     )
     slope: Slopes = Field(
         default={},
         description="Outward derivative of φ on Neumann faces, V/m, per axis one or a pair (lower, upper), as for "
-        "potential; the flux of E out of the face is minus this. Faces without one have none.",
+        "potential; the flux of E out of the face is minus this. Faces without one have none, as walls have beyond open faces.",
     )
 
     @model_validator(mode="before")
@@ -89,6 +97,21 @@ class DomainSection(CuboidSection):
             wall_function(self.potential, self.lower, self.upper, "domain.potential"),
             wall_function(self.slope, self.lower, self.upper, "domain.slope"),
         )
+
+    def remarks(self) -> list[str]:
+        """Return one sentence for each Dirichlet face whose potential jumps where it meets open faces.
+
+        Raises InputError where a formula has no finite value.
+        """
+        potential, _ = self.wall_functions()
+        rims = rims_of(self.value, potential) if potential is not None else {}
+        return [
+            f"domain.potential.{AXES[axis]} jumps at the rim of {FACES[2 * axis + side]}: beyond the open faces there its wall "
+            f"goes on at {rim.potential:.3g} V, the mean along the rim, from which it differs by up to {rim.jump:.0%} of what "
+            "it does on the face; let it be constant along the rim, or move the open faces away"
+            for (axis, side), rim in rims.items()
+            if rim.jump > JUMP
+        ]
 
     @property
     def value(self) -> Domain:

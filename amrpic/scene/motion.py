@@ -60,8 +60,9 @@ class Leapfrog(Section):
         default="auto",
         description="Parts of the charge by rapidity (artanh β, of fast particles ln 2γ) along its motion, each solved for in "
         "a frame of its own. auto: as many as beams, currents and spreads of energy ask for, at most 16, of rapidities within "
-        "0.2, by sign of charge where both drift; chosen at the start and every 16 steps; a number: so many at most, of equal "
-        "width. What changes the force by less than 0.1 % joins its neighbour. The log estimates the error that is left.",
+        "0.2, by sign of charge where both drift; a number: so many at most, of equal width. Chosen at the start, and anew "
+        "when the motion that they leave has grown by half, or fallen by a third. What changes the force by less than 0.1 % "
+        "joins its neighbour. The log estimates the error that is left.",
     )
     window: Literal["none", "reference"] = Field(
         default="none",

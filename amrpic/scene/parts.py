@@ -87,7 +87,7 @@ class SceneParts(AnyScene):
 
     @property
     def window_axis(self) -> int | None:
-        """The axis along which the window starts to go; None without one."""
+        """The axis that the window starts along, if there is one."""
         reference = self.reference
         if not isinstance(self.motion, Leapfrog) or self.motion.window == "none" or reference is None:
             return None

@@ -74,7 +74,7 @@ class Scene(SceneParts):
 
     def remarks(self) -> list[str]:
         """Return one sentence for each thing that is legal and yet may not be meant."""
-        out = []
+        out = self.domain.remarks()
         if self.particle_count() == 0 and not any(bunch.source for bunch in self.bunches):
             out.append("the scene has zero particles; the field is that of the boundary alone")
         if self.elements and not isinstance(self.motion, Leapfrog):

@@ -58,7 +58,7 @@ class Part:
     weight: float  # real ones
     charge: float  # C
     mass: float  # kg, of one real particle; nan for several species
-    flow: float  # C m/s: charge times velocity along z, that of the mean momentum of each species
+    flow: float  # C m/s: charge times velocity along z, that of each species
     momentum: np.ndarray  # (3,) kg m/s, of all together
     mean: np.ndarray  # (7,)
     covariance: np.ndarray  # (7, 7)
@@ -117,20 +117,35 @@ class Part:
         fourth = float(of[4, 0] * of[0, 4] + 3 * of[2, 2] ** 2 - 4 * of[1, 3] * of[3, 1])
         return _ratio(math.sqrt(max(3 * fourth, 0.0)), 2 * second) - 2
 
+    @property
+    def gamma(self) -> float:
+        """Mean γ; nan for several species."""
+        return 1 + float(self.mean[ENERGY]) / (self.mass * SPEED_OF_LIGHT**2)
+
+    @property
+    def frame_gamma(self) -> float:
+        """γ of the frame in which the momentum along z is zero, of velocity <u_z>/<γ>; nan for several species.
+
+        <γ>² - <u_z>² is summed up without their difference, which fast particles would round off.
+        """
+        of_gamma = self.covariance[ENERGY, ENERGY] / (self.mass * SPEED_OF_LIGHT**2) ** 2
+        across = sum(self.mean[i] ** 2 + self.covariance[i, i] for i in (3, 4))
+        return self.gamma / math.sqrt(max(1 + across + self.covariance[5, 5] - of_gamma, 1.0))
+
     def tune_depression(self, axis: int, period: float) -> float:
         """Tune depression across z of the matched beam with these moments; nan for several species or without a size.
 
         That of a continuous beam where z repeats after `period` m, else (infinity) that of an ellipsoid.
         """
         size, other, along = (float(self.rms[i]) for i in (axis, 1 - axis, 2))
-        if not size > 0:
+        if not size > 0 or math.isnan(self.mass):
             return UNKNOWN
-        gamma = math.hypot(1.0, *self.mean[3:6])
+        frame = self.frame_gamma
         if math.isfinite(period):
-            gradient = line_gradient(self.charge / period, size, other) / gamma**2
+            gradient = line_gradient(self.charge / period, size, other) / frame**2
         else:
-            gradient = ellipsoid_gradient(self.charge, size, other, gamma * along) / gamma
-        return tune_depression(self.emittance(axis), size, gradient, self.charge / self.weight, self.mass, gamma)
+            gradient = ellipsoid_gradient(self.charge, size, other, frame * along) / frame
+        return tune_depression(self.emittance(axis), size, gradient, self.charge / self.weight, self.mass, self.gamma)
 
 
 def _ratio(a: float, b: float) -> float:
@@ -171,6 +186,26 @@ def group_moments(
     return {members: out[members] for members in groups.distinct}
 
 
+def moments_by_kind(
+    comm: MPI.Comm, beam: Beam, groups: Groups, domain: Domain | None = None
+) -> list[tuple[Beam, Groups, dict[frozenset[int], Part]]]:
+    """Return the moments of each distinct group, with the beam and the groups that they are of. Collective.
+
+    Those of groups with test particles alone are by number: each weighs the same, without charge. The particles are then read
+    once more.
+    """
+    moments = group_moments(comm, beam, groups, domain)
+    tests = [members for members, part in moments.items() if part.particles > 0 and not part.weight > 0]
+    weighed = {members: part for members, part in moments.items() if members not in tests}
+    found = [(beam, groups.only(list(weighed)), weighed)] if weighed else []
+    if tests:
+        ones = beam.particles.with_weight(np.broadcast_to(1.0, len(beam.particles)))
+        by_number, of_tests = replace(beam, particles=ones), groups.only(tests)
+        of_tests = replace(of_tests, species=tuple(replace(one, charge=0.0) for one in groups.species))
+        found.append((by_number, of_tests, group_moments(comm, by_number, of_tests, domain)))
+    return found
+
+
 def _pieces(layer: Sequence[frozenset[int]], groups: Groups) -> tuple[list[tuple[int, int]], list[int]]:
     """Return the species of each group of a layer, apart since charges differ: (place in the layer, first run), and of each run
     in which of them it is; -1: in none."""
@@ -201,7 +236,7 @@ def _joined(of_runs: Sequence[tuple[int, _native.BeamMoments]], groups: Groups) 
     sums = _native.joined_moments([moments for _, moments in of_runs])
     held = [(groups.species[run], moments) for run, moments in of_runs if moments.weight > 0]
     charge = sum(species.charge * moments.weight for species, moments in held)
-    flow = sum(species.charge * moments.weight * _velocity(np.array(moments.mean[3:6])) for species, moments in held)
+    flow = sum(species.charge * moments.weight * _velocity(moments.mean, species.mass) for species, moments in held)
     kinds = {species for species, _ in held}
     momentum = sum(
         (species.mass * SPEED_OF_LIGHT * moments.weight * np.array(moments.mean[3:6]) for species, moments in held),
@@ -225,9 +260,9 @@ def _joined(of_runs: Sequence[tuple[int, _native.BeamMoments]], groups: Groups) 
     )
 
 
-def _velocity(u: np.ndarray) -> float:
-    """Return the velocity along z, m/s, of a momentum over m c."""
-    return SPEED_OF_LIGHT * float(u[2] / np.sqrt(1 + u @ u))
+def _velocity(mean: Sequence[float], mass: float) -> float:
+    """Return the velocity along z, m/s, of particles of a mass (kg) with these means (7,): c <u_z>/<γ>."""
+    return SPEED_OF_LIGHT * mean[5] / (1 + mean[ENERGY] / (mass * SPEED_OF_LIGHT**2))
 
 
 # ---- quantiles ----

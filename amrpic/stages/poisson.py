@@ -16,6 +16,7 @@ from ..mesh.domain import BOUNDARIES
 from ..mesh.field import Field, Function, Holds, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.mirror import SIGNS, Mirror
+from ..mesh.rims import rims_of
 from ..parallel import together
 from ..scene.complaints import mistakes
 from ..scene.solver_options import SolverOptions
@@ -162,6 +163,11 @@ class PoissonSolver:
         without a plane that makes them.
         """
         self._require_home("rho", rho)
+        if self.mirror is not None and (boundary_values, boundary_flux) != (None, None):
+            raise SolverError(
+                "walls are given values, which are at rest, in a solver with a mirror, for charge that moves; solve for their "
+                "field by one without"
+            )
         if image and not (self.mirror is not None and self.mirror.reflects):
             raise SolverError("images of ρ are asked for, but no plane mirrors it; give the solver a mirror with one")
         if guess is not None:
@@ -286,6 +292,11 @@ class PoissonSolver:
                     )
                 # the native side works in stretched coordinates
                 data[kinds == NEUMANN] /= np.array(self.options.stretch)[axes[kinds == NEUMANN]]
+            beyond = np.zeros((3, 2))
+            if values is not None:
+                for face, rim in rims_of(self.hierarchy.domain, values).items():
+                    beyond[face] = rim.potential
+            self.native.continue_walls(beyond.tolist())
         self._walls = values, flux
 
 

@@ -22,6 +22,7 @@ from ..stages.diagnostics import Moments, field_energy, moments, potential_energ
 from ..stages.migrate import migrate
 from ..stages.regrid import carry_over
 from ..units import ELECTRON_MASS, ELEMENTARY_CHARGE
+from . import image_force
 from .chosen import scene_of, solver_of
 from .errors import observed_order
 from .meshes import MESHES, Mesh
@@ -54,6 +55,7 @@ def tables(comm: MPI.Comm) -> Iterator[Table]:
         ("mesh", "difference", "order"),
         [[name, *_energies(comm, MESHES[name])] for name in ("uniform", "nested cubes", "patch at a face")],
     )
+    yield image_force.table(comm)
     yield Table(
         "An isolated plasma for ten plasma periods",
         "Warm electrons in a cloud of protons, half of them inside a refined cube, open faces. Momentum of all particles over "

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from ..io.particle_reader import ParticleDump, read
 from ..mesh.pictures import DECADES, ONE_SIGN, divisor
 from ..particles.groups import Groups
 from ..particles.particles import Particles
-from ..stages.beam_diagnostics import Beam, Part, Slice, group_moments, group_slices
+from ..stages.beam_diagnostics import Beam, Part, Slice, group_slices, moments_by_kind
 from ..units import ELEMENTARY_CHARGE, SPEED_OF_LIGHT, prefix_of, quantity
 from .plot import save
 
@@ -63,14 +62,9 @@ def figures(
     except KeyError:
         raise InputError(f"{dump.path} has no group {group}; choose among {', '.join(dump.groups.names)}") from None
     particles = dump.particles
-    part = group_moments(MPI.COMM_SELF, Beam(particles, particles), groups, dump.domain)[groups.members[0]]
-    of_tests = part.particles > 0 and not part.weight > 0
-    if of_tests:  # each counts as one
-        groups = replace(groups, species=tuple(replace(one, charge=0.0) for one in groups.species))
-        particles = particles.with_weight(np.broadcast_to(1.0, len(particles)))
-    beam = Beam(particles, particles)
-    moments = group_moments(MPI.COMM_SELF, beam, groups, dump.domain)
-    part = moments[groups.members[0]]
+    ((beam, groups, moments),) = moments_by_kind(MPI.COMM_SELF, Beam(particles, particles), groups, dump.domain)
+    of_tests = beam.particles is not particles  # each counts as one
+    particles, part = beam.particles, moments[groups.members[0]]
     if not part.weight > 0:
         raise InputError(f"{group} of {dump.path} has no particles left to draw; choose another group or dump")
     if not (of_tests or particles.charge.any()):

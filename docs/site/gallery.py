@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import example_pictures
 from amrpic.io import time_series
 from amrpic.results import curves
 
@@ -70,6 +71,16 @@ SCENES = {
         ("--set", "schedule.solves=1"),
     ),
     "drift": Shown("A bunch expands", plot("--quantity", "|E|"), "the electric field after 40 steps"),
+    "cathode": Shown(
+        "A bunch leaves a cathode",
+        example_pictures.bunch_and_image,
+        "charge and potential of the bunch after 40 steps in the plane y = 0, and below the plane those of its image",
+    ),
+    "long_beam": Shown(
+        "A long beam spreads",
+        example_pictures.spread,
+        "left the radius along the path, right the potential across the beam at the end, L being the period",
+    ),
     "periodic": Shown(
         "Plasma oscillation", curve("energy"), "two periods: energy goes to the field and back, twice each"
     ),

@@ -154,6 +154,7 @@ void bind_solver(nb::module_& m) {
             return nb::ndarray<nb::numpy, Real>(datum.data(), {datum.size()}, self);
           },
           "level"_a)
+      .def("continue_walls", &PoissonSolver::continue_walls, "potentials"_a, nb::call_guard<nb::gil_scoped_release>())
       .def_prop_ro("reusable", &PoissonSolver::reusable, nb::rv_policy::copy)
       .def_prop_ro("bottom_setups", [](PoissonSolver const& s) { return s.backend().bottom_setups(); })
       .def_prop_ro("levels_assembled", [](PoissonSolver const& s) { return s.backend().levels_assembled(); })

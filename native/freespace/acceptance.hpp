@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "freespace/lattice.hpp"
+#include "stencil/first_layers.hpp"
 
 namespace amrpic::freespace {
 
@@ -34,7 +35,8 @@ struct Options {
   /// What charge in the first layers of cells at a Dirichlet wall counts at ghosts of open faces beside it, where that
   /// reflects it: the wall's row, which is not that of an odd image, gives it so much of the image's dipole.
   std::vector<double> at_dirichlet_walls() const {
-    return operator_order == 4 ? std::vector<double>{0.7560, 1.0239, 1.0010} : std::vector<double>{0.75};
+    auto const& of = operator_order == 4 ? of_image_in_fourth_order : of_image;
+    return {of.begin(), of.end()};
   }
   /// Of ghosts behind a wall.
   int layers() const { return operator_order == 4 ? 2 : 1; }

@@ -44,10 +44,11 @@ Image Image::inverse() const {
 
 Images::Images(Lattice const& lattice, std::array<std::array<std::optional<Mirror>, 2>, 3> const& walls,
                std::array<bool, 3> const& periodic, int across)
-    : shape_(lattice.shape()), cells_(lattice.cells), across_(across) {
+    : shape_(lattice.shape()), across_(across) {
   for (std::size_t d = 0; d < 3; ++d) {
     axes_[d] = images_of(walls[d][0], walls[d][1]);
-    if (periodic[d]) axes_[d].period = cells_[d];
+    if (periodic[d]) axes_[d].period = lattice.cells[d];
+    widest_ = std::max({widest_, lattice.cells[d] * shape_[d], axes_[d].period * shape_[d]});
   }
 }
 
@@ -93,10 +94,10 @@ double Images::longest_period() const {
   return out;
 }
 
-int Images::doublings(int d, double width, int fewest) const {
+int Images::doublings(int d, int fewest) const {
   double const period = axes_[std::size_t(d)].period * shape_[d];
   if (period == 0) return 0;
-  return fewest + std::max(0, int(std::ceil(std::log2(std::max(width, longest_period()) / period))));
+  return fewest + std::max(0, int(std::ceil(std::log2(widest_ / period))));
 }
 
 double Images::apart(int d, double place, double other) const {
@@ -203,7 +204,7 @@ void add_lattice(Octree& tree, int number, std::vector<Image> const& copies, Ima
   Cell length{}, left{};
   for (int d = 0; d < 3; ++d) {
     length[d] = images.axis(d).period;
-    left[d] = images.doublings(d, width_across(given.node, images), doublings);
+    left[d] = images.doublings(d, doublings);
   }
   for (;;) {
     int next = -1;
@@ -268,7 +269,7 @@ void Closing::add(Member const& given, Image const& image, Images const& images)
                   {2 * m21.re, 2 * m21.im, 4 * m20 / 3}}};
   for (int d = 0; d < 3; ++d) {
     copy.second[std::size_t(d)][std::size_t(d)] -= copy.charge * period_[d] * period_[d] / 12;
-    copy.reach[d] = std::ldexp(period_[d], images.doublings(d, width_across(given.node, images), doublings_));
+    copy.reach[d] = std::ldexp(period_[d], images.doublings(d, doublings_));
   }
   copies_.push_back(copy);
 }

@@ -45,9 +45,10 @@ class Images {
   std::vector<std::vector<Image>> copies(Which which) const;
   /// The longest period, and 0 without any; in units of the smallest spacing.
   double longest_period() const;
-  /// How often a block of copies doubles along an axis, of charge so wide, `fewest` times where all is as wide as it is
-  /// long; 0 where there is no lattice.
-  int doublings(int d, double width, int fewest) const;
+  /// How often a block of copies doubles along an axis, `fewest` times where the mesh is nowhere wider than that; 0
+  /// where there is no lattice. What closes the lattice must lie beyond the widest patches, which stand out from the
+  /// mesh.
+  int doublings(int d, int fewest) const;
   Point const& shape() const { return shape_; }
   /// The number of axes along which they repeat, at most two where a face is open.
   int lattices() const { return int(axes_[0].period > 0) + int(axes_[1].period > 0) + int(axes_[2].period > 0); }
@@ -56,7 +57,7 @@ class Images {
 
  private:
   Point shape_{1, 1, 1};
-  Cell cells_{};
+  double widest_ = 0;  ///< extent or period
   std::array<AxisImages, 3> axes_;
   int across_ = -1;
 };

@@ -15,8 +15,6 @@ constexpr double four_pi = 12.566370614359172954;
 constexpr double lattice_negligible = 64;  ///< cells from a charge where its lattice adds 6e-5 of its potential
 constexpr unsigned all_points = all_lanes;
 constexpr int lowest_order = 2;
-constexpr double acceptance_of_images =
-    0.25;  ///< as `Options::acceptance`, of blocks of hundreds of charges of one sign
 /// Up to where the charges of a node of level 0 are summed one by one, in units of the smallest spacing, from its
 /// centre.
 double near_distance(Point const& shape, Options const& options) {

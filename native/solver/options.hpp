@@ -56,8 +56,8 @@ struct SolverOptions {
   int pre_sweeps = 2, post_sweeps = 2;
   Real relaxation = 1.28;  ///< of red-black Gauss-Seidel on refined levels of cubes, see relaxation_on
   Prolongation prolongation = Prolongation::trilinear;
-  Real screening = 0;      ///< kappa of -Laplace phi + kappa^2 phi = rho / eps0, 1/m
-  Real3 stretch{1, 1, 1};  ///< factors on the lengths: (1, 1, gamma) is the frame of a bunch that moves along z
+  Real screening = 0;        ///< kappa of -Laplace phi + kappa^2 phi = rho / eps0, 1/m
+  Real3 stretch{1, 1, 1};    ///< factors on the lengths: (1, 1, gamma) is the frame of a bunch that moves along z
   freespace::Across across;  ///< walls that reflect charge which moves
   int coarse_levels = as_many_as_possible;  ///< multigrid levels below the base
   BottomKind bottom = BottomKind::gmres;    ///< works for all matrices, those of the base included

@@ -70,6 +70,37 @@ void PoissonSolver::plan_open_walls() {
   }
 }
 
+void PoissonSolver::continue_walls(freespace::PerFace const& potentials) {
+  if (!wall_plan_) return;
+  freespace::Options const& options = reusable_.free_space->options();
+  wall_charges_ = wall_charges(*hierarchy_, walls_, potentials, options);
+  if (potentials == plates_) return;
+  plates_ = potentials;
+  Real3 const& finest = hierarchy_->level(hierarchy_->level_count() - 1).spacing();
+  Real const gauss = options_.order == 4 ? 1 / std::sqrt(12.0) : 0;  // ghosts hold means
+  freespace::Plates const plates(hierarchy_->domain(), potentials,
+                                 (0.5 - gauss) * std::min({finest[0], finest[1], finest[2]}));
+  of_plates_.resize(open_faces_.size());
+  std::size_t first = 0;
+  for (int l = 0; l < hierarchy_->level_count(); ++l) {
+    Real3 const& h = hierarchy_->level(l).spacing();
+    std::size_t last = first;
+    while (last < open_faces_.size() && open_faces_[last].level == l) ++last;
+    for (std::size_t n = 0; n < std::size_t(options.layers()); ++n) {
+      std::vector<Real3> places;
+      for (std::size_t i = first; i < last; ++i) {
+        auto const& face = walls_[l].faces[open_faces_[i].face];
+        Real3 x = walls_[l].position(hierarchy_->domain(), hierarchy_->level(l), open_faces_[i].face);
+        x[face.axis] += (face.side == 0 ? -1 : 1) * Real(n) * h[face.axis];
+        places.push_back(x);
+      }
+      auto const values = plates.at(places, {gauss * h[0], gauss * h[1], gauss * h[2]});
+      for (std::size_t i = first; i < last; ++i) of_plates_[i][n] = values[i - first];
+    }
+    first = last;
+  }
+}
+
 void PoissonSolver::set_open_walls(Field const& rho, freespace::Which which) {
   auto charges = freespace::charges_of(rho, *hierarchy_, 1 / vacuum_permittivity, reusable_.free_space->options());
   auto box = charges.begin();
@@ -78,10 +109,16 @@ void PoissonSolver::set_open_walls(Field const& rho, freespace::Which which) {
       for (auto& [cells, density] : of_box) box->added.push_back({{cells.lower, cells.upper}, std::move(density)});
       ++box;
     }
+  for (std::size_t b = 0; b < wall_charges_.size(); ++b)
+    charges[b].added.insert(charges[b].added.end(), wall_charges_[b].begin(), wall_charges_[b].end());
   auto const values = reusable_.free_space->walls(*wall_plan_, charges, which);
-  for (auto const& [level, face, places] : open_faces_) {
-    walls_[level].datum[face] = values[places[0]];
-    if (options_.order == 4) walls_[level].second[face] = values[places[1]];
+  for (std::size_t i = 0; i < open_faces_.size(); ++i) {
+    auto const& [level, face, places] = open_faces_[i];
+    auto const value = [&, &places = places](std::size_t n) {
+      return values[places[n]] + (of_plates_.empty() ? 0 : of_plates_[i][n]);
+    };
+    walls_[level].datum[face] = value(0);
+    if (options_.order == 4) walls_[level].second[face] = value(1);
   }
 }
 

@@ -8,6 +8,7 @@
 #include "mesh/field.hpp"
 #include "solver/backend.hpp"
 #include "solver/reusable.hpp"
+#include "solver/wall_charges.hpp"
 #include "stencil/fourth_order.hpp"
 
 namespace amrpic {
@@ -49,6 +50,9 @@ class PoissonSolver {
 
   /// The wall faces of a level on this rank; their Dirichlet and Neumann data may be set before a solve.
   Walls& walls(int level) { return walls_[level]; }
+  /// Let open faces see the data that walls beside them hold now. Beyond its face a Dirichlet wall is at one of these
+  /// potentials (V), wherever it goes on, and a Neumann wall has no slope. Local.
+  void continue_walls(freespace::PerFace const& potentials);
 
   /// Fill phi (V) from rho (C/m^3), starting from what phi holds; `from_zero`: nothing but zeros. Covered cells of phi
   /// hold the mean of their children. `known`: by the solve that found the first guess, on the same mesh. `deposited`:
@@ -109,7 +113,10 @@ class PoissonSolver {
         places;  ///< of its ghosts' potentials among those of free space
   };
   std::vector<OpenFace> open_faces_;
-  std::shared_ptr<freespace::WallPlan const> wall_plan_;  ///< where walls are open
+  freespace::PerFace plates_{};                                          ///< potentials of walls beyond their faces
+  std::vector<std::array<Real, fourth_order::ghost_layers>> of_plates_;  ///< by open face, V; none if zero
+  std::vector<std::vector<freespace::ChargeBox::Added>> wall_charges_;   ///< by box; none if zero
+  std::shared_ptr<freespace::WallPlan const> wall_plan_;                 ///< where walls are open
   std::unique_ptr<Backend> backend_;
   Stopwatch stopwatch_;
   Real latest_correction_ = 0, correction_before_ = 0;  ///< largest change of phi by the latest two cycles, V

@@ -59,6 +59,11 @@ REFUSED = {
     "wrong unit": (["elements.0.gradient=1 T"], ["elements.0.gradient", "T/m"]),
     "no such kind": (["elements.0.kind=quadrupol"], ["elements.0", 'did you mean "quadrupole"']),
     "no such map": (["elements.0={kind='map',file='nowhere.h5'}"], ["nowhere.h5", "does not exist"]),
+    "longer than its period": (
+        ["domain.boundary={x='dirichlet',y='dirichlet',z='periodic'}", "elements.0.length=0.05",
+         "elements.0.centre=[0,0,0.02]"],
+        ["elements.0 is 0.05 m long", "repeats along z after 0.04 m", "shorten it"],
+    ),
     "fringe that never falls": (
         ["elements.0.fringe=enge", "elements.0.gap=0.01", "elements.0.enge=[0,0]"], ["elements.0.enge", "does not let"]
     ),

@@ -64,7 +64,6 @@ REFUSED_SCENES = {
     "too much memory": (["domain.cells=1536"], ["domain.cells", "GiB of memory", "GiB are free"]),
     "unbalanced charge": (["domain.boundary=periodic"], ["background", "1e-11 C", "neutralizing"]),
     "unbalanced charge, neumann": (["domain.boundary=neumann"], ["background", "1e-11 C", "neutralizing"]),
-    "open and periodic": (["domain.boundary={x='periodic'}"], ["domain.boundary", "open", "periodic"]),
     "two mistakes": (["solver.tolerance=0", "seed=-1"], ["1 more"]),
     "override of nothing": (["bunches.4.sigma=1"], ["--set bunches.4.sigma"]),
 }

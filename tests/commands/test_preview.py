@@ -148,6 +148,13 @@ def test_a_bunch_that_ends_before_a_near_wall_is_well(comm, tmp_path):
     assert "bunches.0 has its centre 2.6 rms sizes from the face z_upper" in text
 
 
+def test_a_bunch_beside_a_cathode_is_well(comm, tmp_path):
+    given = scene(tmp_path).to_dict()
+    given["bunches"] = [{**DENSE, "particles": 20_000, "centre": [0, 0, -0.85]}]
+    given["domain"]["boundary"] = {"z": ["dirichlet", "open"]}
+    assert "rms sizes from the face" not in preview(comm, Scene.from_dict(given), 1)
+
+
 def ball_of(given):
     return {key: value for key, value in given.items() if key != "distribution"}
 

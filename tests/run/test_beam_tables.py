@@ -15,7 +15,7 @@ from amrpic.errors import InputError
 from amrpic.io import time_series
 from amrpic.io.provenance import Provenance
 from amrpic.io.time_series import Series
-from amrpic.units import Quantity
+from amrpic.units import ELECTRON_MASS, SPEED_OF_LIGHT, Quantity
 from mpi_batch import ENVIRONMENT
 
 GROUPS = ["all", "electron", "proton", "bunch_0", "pair_0", "pair_1"]
@@ -140,6 +140,48 @@ def test_a_beam_that_is_lost_leaves_rows_to_the_end(comm, tmp_path):
     beam = time_series.read(tmp_path / "beam.csv")
     assert beam["particles"][-1] == 0 and beam["lost_particles"][-1] == 900
     assert np.isnan(beam["rms_x"][-1]) and np.isnan(beam["emittance_z_90"][-1]) and beam["charge"][-1] == 0
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+@pytest.mark.parametrize("boundary", ["open", "periodic"])
+def test_a_group_of_test_particles_among_others_is_measured_by_number(comm, tmp_path, boundary):
+    """As NumPy has it of the places and momenta at the start; the bunch that makes the field is measured as without them."""
+    from mpi4py import MPI
+
+    bunches = scene(tmp_path).to_dict()["bunches"][:1]
+    tests = {**bunches[0], "name": "tests", "particles": 400, "sigma": "2 mm", "self_field": False}
+    changes = {
+        "schedule": {"steps": 0},
+        "domain": {"lower": -0.02, "upper": 0.02, "cells": 16, "boundary": boundary},
+        "background": "neutralizing" if boundary == "periodic" else "none",
+    }
+    run(comm, tmp_path / "alone", bunches=bunches, **changes)
+    simulation = run(comm, tmp_path / "both", bunches=[*bunches, tests], **changes)
+    beams, slices = (
+        {folder: time_series.read(tmp_path / folder / name) for folder in ("alone", "both")}
+        for name in ("beam.csv", "slices.csv")
+    )
+    for table in beams, slices:
+        one, other = (table[folder][table[folder]["group"] == "bunch_0"] for folder in ("alone", "both"))
+        for name in one.dtype.names:
+            if name != "group":
+                np.testing.assert_allclose(other[name], one[name], rtol=1e-9, atol=1e-30, err_msg=name)
+    particles = simulation.particles
+    mine = particles.id >= 900
+    x, p = (np.concatenate(comm.allgather(of[mine])) for of in (particles.position, particles.momentum))
+    row = beams["both"][beams["both"]["group"] == "tests"][0]
+    assert len(x) == row["particles"] > 390 and row["charge"] == 0
+    x, u = x - x.mean(axis=0), p / (ELECTRON_MASS * SPEED_OF_LIGHT)
+    u -= u.mean(axis=0)
+    for d, axis in enumerate("xyz"):
+        square = (x[:, d] ** 2).mean() * (u[:, d] ** 2).mean() - (x[:, d] * u[:, d]).mean() ** 2
+        assert row[f"rms_{axis}"] == pytest.approx(x[:, d].std(), rel=1e-9)
+        assert row[f"emittance_{axis}"] == pytest.approx(np.sqrt(square), rel=1e-9)
+    assert row["radius_xyz_50"] == pytest.approx(np.median(np.linalg.norm(x, axis=1)), rel=0.02)
+    of = slices["both"][slices["both"]["group"] == "tests"]
+    assert of["particles"].sum() == len(x) and np.isfinite(of["rms_x"][of["particles"] > 0]).all()
+    assert of["particles"] @ of["mean_x"] == pytest.approx(len(x) * row["mean_x"], abs=1e-9)
+    assert comm.allreduce(len(particles), MPI.SUM) == beams["both"]["particles"][0]
 
 
 @pytest.mark.mpi(ranks=(1, 2))

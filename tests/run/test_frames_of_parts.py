@@ -9,10 +9,10 @@ import pytest
 from mpi4py import MPI
 
 import amrpic
-from amrpic.errors import InputError
+from amrpic.errors import InputError, SolverError
 from amrpic.particles.frame import LABORATORY
 from amrpic.run.restart import _frames
-from amrpic.units import ELECTRON_MASS, SPEED_OF_LIGHT
+from amrpic.units import ELECTRON_MASS, SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
 from amrpic.verify import moving_charges
 from amrpic.verify.sources import Gaussian
 
@@ -20,22 +20,21 @@ MC = ELECTRON_MASS * SPEED_OF_LIGHT
 LONG = ["1 mm", "1 mm", "10 mm"]
 
 
+def described(*bunches: dict[str, Any], boundary: Any = "open", **motion: Any) -> dict[str, Any]:
+    bunch = {"distribution": "gaussian", "sigma": LONG, "particles": 20000, "sampling": "halton"}
+    return {
+        "domain": {"lower": ["-8 mm", "-8 mm", "-50 mm"], "upper": ["8 mm", "8 mm", "50 mm"], "cells": 32}
+        | {"boundary": boundary},
+        "bunches": [{**bunch, **one} for one in bunches],
+        "motion": {"kind": "leapfrog", "dt": "5 ps", **motion},
+        "output": {"write": []},
+    }
+
+
 def run(
     *bunches: dict[str, Any], comm: MPI.Comm = MPI.COMM_SELF, boundary: Any = "open", **motion: Any
 ) -> amrpic.Simulation:
-    described = {"distribution": "gaussian", "sigma": LONG, "particles": 20000, "sampling": "halton"}
-    return amrpic.Simulation(
-        comm,
-        amrpic.Scene.from_dict(
-            {
-                "domain": {"lower": ["-8 mm", "-8 mm", "-50 mm"], "upper": ["8 mm", "8 mm", "50 mm"], "cells": 32}
-                | {"boundary": boundary},
-                "bunches": [{**described, **bunch} for bunch in bunches],
-                "motion": {"kind": "leapfrog", "dt": "5 ps", **motion},
-                "output": {"write": []},
-            }
-        ),
-    )
+    return amrpic.Simulation(comm, amrpic.Scene.from_dict(described(*bunches, boundary=boundary, **motion)))
 
 
 BEAM = {"species": "electron", "kinetic_energy": "5 MeV", "charge": "-10 pC"}
@@ -278,3 +277,43 @@ def test_a_window_that_turns_with_beams_in_a_dipole_leaves_them_their_frames(com
     simulation.advance()
     again.advance()
     assert np.array_equal(again.state.particles.momentum, simulation.state.particles.momentum)
+
+
+PIPE = {"x": "neumann", "y": "neumann", "z": "periodic"}
+
+
+def in_pipe(*bunches: dict[str, Any], slope: float = 0.0, **more: Any) -> amrpic.Simulation:
+    """Between Neumann faces 16 mm apart, of which the upper one along x has a slope (V/m)."""
+    given = described(*bunches, boundary=PIPE) | more
+    given["domain"] |= {"slope": {"x": [0, slope]}}
+    return amrpic.Simulation(MPI.COMM_SELF, amrpic.Scene.from_dict(given))
+
+
+def test_slopes_of_walls_beside_a_fast_beam_are_balanced_by_the_background():
+    """E_x = -a (x + L/2) / L of a slope a, with the uniform charge that takes up its flux; of one frame and of two."""
+    ions = {"species": "proton", "charge": 9e-15}
+    for bunches in ([BEAM], [BEAM, ions]):
+        simulation = in_pipe(*bunches, slope=1e3, background="neutralizing")
+        alone = in_pipe(*bunches, background="neutralizing")
+        x = np.linspace(-5e-3, 5e-3, 7)
+        at = np.column_stack([x, 0 * x, 0 * x])
+        of_walls = simulation.efield.sample(at)[:, 0] - alone.efield.sample(at)[:, 0]
+        assert of_walls == pytest.approx(-1e3 * (x + 8e-3) / 16e-3, rel=1e-6)
+        assert len(simulation.state.solution.frames.members) == len(bunches)
+
+
+def test_flux_that_nothing_balances_beside_a_fast_beam_is_one_sentence():
+    """Slopes that would balance the charge at rest balance none that moves; and slopes alone are told from the charge."""
+    positrons = {**BEAM, "species": "positron", "charge": "10 pC"}
+    area = 16e-3 * 100e-3
+    slope = 10e-12 / VACUUM_PERMITTIVITY / area  # -(-10 pC) / ε0 through the face
+    still = in_pipe({"species": "electron", "charge": "-10 pC"}, slope=slope)
+    assert still.report.converged
+    with pytest.raises(
+        SolverError, match=r"net charge is -1e-11 C, which no potential and no domain\.slope, .*can balance"
+    ):
+        in_pipe(BEAM, slope=slope)
+    with pytest.raises(
+        SolverError, match=r"^domain\.slope, .*apart from charge that moves: all faces .* is 1\.00e-11 C"
+    ):
+        in_pipe(BEAM, positrons, slope=slope)

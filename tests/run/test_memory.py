@@ -137,8 +137,9 @@ def test_copies_of_levels_with_long_cells_count(comm, upper, stretch):
     assert taken != pytest.approx(without, rel=0.01), "the copies are not counted"
 
 
-def test_a_short_run_takes_the_memory_that_its_preview_tells(tmp_path):
-    compare(EXAMPLES / "drift.toml", 2, tmp_path, "schedule.steps=2")
+@pytest.mark.parametrize("name", ["drift", "cathode", "long_beam"])
+def test_a_short_run_takes_the_memory_that_its_preview_tells(tmp_path, name):
+    compare(EXAMPLES / f"{name}.toml", 2, tmp_path, "schedule.steps=2")
 
 
 @pytest.mark.long

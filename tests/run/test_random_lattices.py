@@ -20,7 +20,7 @@ HALF = 0.03  # m, of the domain across
 
 def element(rng: np.random.Generator, electric: bool) -> dict[str, Any]:
     """An element of a random kind, place, direction and strength."""
-    length = float(rng.uniform(0.005, 0.08))
+    length = min(float(rng.uniform(0.005, 0.08)), 1.8 * HALF)  # less than a period, in which it may repeat
     tilt = np.add(rng.normal(0, 0.15, 3), (0, 0, rng.choice([1, 1, -1])))
     placed = {
         "centre": [*rng.normal(0, 2e-3, 2).tolist(), float(rng.uniform(-0.05, 0.15))],

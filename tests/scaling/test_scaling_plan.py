@@ -48,7 +48,7 @@ from amrpic.stages.gather import gather
 from amrpic.stages.migrate import NONE, migrate
 from amrpic.stages.poisson import PoissonSolver
 
-SCENE = {
+SCENE: dict[str, Any] = {
     "domain": {"lower": "-20 mm", "upper": "20 mm", "cells": 48, "boundary": "open"},
     "bunches": [
         {"distribution": "gaussian", "species": "electron", "sigma": "2 mm", "charge": "-1 pC", "particles": 200_000,
@@ -62,8 +62,10 @@ SCENE = {
 }  # fmt: skip
 
 
-def scene() -> Scene:
-    return Scene.from_dict(SCENE)
+def scene(boundary: Any = "open") -> Scene:
+    given = deepcopy(SCENE)
+    given["domain"]["boundary"] = boundary
+    return Scene.from_dict(given)
 
 
 @cache
@@ -72,9 +74,13 @@ def planner() -> Planner:
     return Planner(scene())
 
 
+BESIDE = {"x": "open", "y": ["dirichlet", "open"], "z": "periodic"}
+
+
 @pytest.mark.mpi(ranks=(2, 3, 4), timeout=300)
-def test_virtual_ranks_send_what_real_ones_do(comm: MPI.Comm):
-    made = scene()
+@pytest.mark.parametrize("boundary", ["open", BESIDE], ids=["open", "beside other faces"])
+def test_virtual_ranks_send_what_real_ones_do(comm: MPI.Comm, boundary):
+    made = scene(boundary)
     mesh = without_open_walls(planned_mesh(made, clouds_of(made))[0])
     boxes = [mesh.boxes(level) for level in range(1, mesh.levels)]
     real = Hierarchy(comm, mesh.domain, boxes, 16, 8)
@@ -309,6 +315,22 @@ def test_plans_of_all_ranks_hold_all_cells_and_particles():
         assert plan.relaxed >= 1 / plan.ranks - 1e-12 and (plan.ranks > 1 or plan.relaxed == pytest.approx(1))
         assert plan.cell_imbalance >= 1 and plan.memory.max() > 100e6
         assert (plan.most("cycle", "messages") > 0) == (plan.ranks > 1)
+
+
+def test_plans_have_the_work_of_images():
+    """Faces that are not open take no patches; images of the charge take more interactions in those that are left."""
+    found = {}
+    for name, boundary in {"open": "open", "beside": BESIDE}.items():
+        of_scene = Planner(scene(boundary))
+        alone, five = of_scene.plans([1, 5], looked_at=5)
+        (walls,) = alone.walls
+        assert sum(one.patches for one in five.walls) == walls.patches
+        assert sum(one.interactions for one in five.walls) == walls.interactions
+        assert five.cells.sum(axis=1).tolist() == [of_scene.mesh.cells(level) for level in range(3)]
+        assert five.most("open walls", "messages") > 0
+        found[name] = walls
+    assert found["beside"].patches == found["open"].patches / 2  # of six faces
+    assert found["beside"].interactions / found["beside"].patches > found["open"].interactions / found["open"].patches
 
 
 def test_command_writes_plans(tmp_path):

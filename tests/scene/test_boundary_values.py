@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -48,6 +50,27 @@ def test_walls_of_a_quadrupole_make_its_field_without_charge(comm, tmp_path):
 def test_a_formula_without_a_value_is_reported_with_its_key(comm, tmp_path, formula):
     with pytest.raises(InputError, match=r"^domain.potential.z: its formula .*; correct it$"):
         Simulation(comm, scene(tmp_path, boundary={"z": "dirichlet"}, potential={"z": [0, formula]}))
+
+
+@pytest.mark.parametrize(
+    ("potential", "boundary", "rim"),
+    [
+        ({"z": [5, 0]}, {"z": ["dirichlet", "open"]}, None),
+        ({"z": [5, -5]}, {"z": "dirichlet"}, None),
+        ({"z": ["exp(-20*(x^2 + y^2))", 0]}, {"z": ["dirichlet", "open"]}, None),
+        ({"z": ["exp(-2*(x^2 + y^2))", 0]}, {"z": ["dirichlet", "open"]}, "z_lower: .* at 0.103 V.* by up to 8%"),
+        ({"z": [0, "1 + x"]}, {"z": ["open", "dirichlet"]}, "z_upper: .* at 1 V.* by up to 100%"),
+        ({"z": ["y", 0]}, {"x": "periodic", "y": "dirichlet", "z": ["dirichlet", "open"]}, None),  # meets no open face
+        ({"z": ["x", 0]}, {"x": "dirichlet", "y": "neumann", "z": "dirichlet"}, None),
+    ],
+)
+def test_potentials_that_jump_where_walls_go_on_beyond_open_faces_are_remarked(potential, boundary, rim):
+    remarks = [
+        remark for remark in scene(boundary=boundary, potential=potential).remarks() if "domain.potential" in remark
+    ]
+    assert len(remarks) == (rim is not None)
+    if rim is not None:
+        assert re.match(f"domain.potential.z jumps at the rim of {rim}", remarks[0])
 
 
 def test_a_formula_is_what_numpy_says():

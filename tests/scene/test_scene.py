@@ -141,7 +141,6 @@ def test_bad_override_names_itself(assignment):
         ({"domain": {"lower": 0, "upper": 1, "cells": 2**22}}, ["domain.cells", str(2**66), "64-bit"]),
         ({"domain": {"lower": -1, "upper": 1, "cells": 2**31}}, ["domain.cells.0", "32 bits"]),
         ({"domain": {"lower": -1, "upper": 1, "cells": 32, "boundary": "opne"}}, ["boundary.x", 'did you mean "open"']),
-        ({"domain": {"lower": -1, "upper": 1, "cells": 32, "boundary": {"x": "periodic"}}}, ["open", "periodic"]),
         (
             {"refinement": {"levels": 1, "rule": {"kind": "static", "boxes": [{"level": 1, "first": 8, "last": 64}]}}},
             ["refinement.rule.boxes.0", "leaves the domain", "63 along x"],

@@ -22,7 +22,6 @@ BOUNDARIES: dict[str, Any] = {
     "periodic along z alone": {"x": "neumann", "y": ("open", "dirichlet"), "z": "periodic"},
     "open beside walls": {"x": "dirichlet", "y": ("open", "open"), "z": "neumann"},
 }
-REFUSED = {key for key, spec in BOUNDARIES.items() if "open" in str(spec) and "periodic" in str(spec)}
 
 
 def solved(hierarchy: amrpic.Hierarchy, **options) -> tuple[amrpic.Field, amrpic.SolveReport]:
@@ -51,7 +50,7 @@ def rounding(name: str) -> float:
 
 
 @pytest.mark.mpi(ranks=(1, 3), timeout=300)
-@pytest.mark.parametrize("boundary", sorted(set(BOUNDARIES) - REFUSED))
+@pytest.mark.parametrize("boundary", sorted(BOUNDARIES))
 def test_both_backends_find_the_same_potential_in_as_many_cycles(comm, boundary):
     for name, mesh in MESHES.items():
         if mesh.size != (1.0, 1.0, 1.0) and boundary == "open":
@@ -87,7 +86,7 @@ def compare_with_kokkos(hierarchy: amrpic.Hierarchy, name: str, **options) -> No
 
 
 @pytest.mark.mpi(ranks=(1, 2, 3, 4), timeout=300)
-@pytest.mark.parametrize("boundary", sorted(set(BOUNDARIES) - REFUSED))
+@pytest.mark.parametrize("boundary", sorted(BOUNDARIES))
 def test_kokkos_kernels_take_the_same_steps(comm, boundary):
     for name, mesh in MESHES.items():
         if mesh.size != (1.0, 1.0, 1.0) and boundary == "open":

@@ -81,8 +81,18 @@ def test_collectives_are_two_of_64_kb_at_most(counts):
 
 
 @pytest.mark.mpi(ranks=(2, 3, 4))
-def test_counts_are_those_of_a_solve(comm):
-    domain = Domain((0, 0, 0), (1, 1, 1), (32,) * 3, "open")
+@pytest.mark.parametrize(
+    "boundary",
+    [
+        "open",
+        {"z": ["dirichlet", "open"]},
+        {"z": "periodic"},
+        {"x": ["open", "neumann"], "y": "dirichlet", "z": "periodic"},
+    ],
+    ids=["open", "cathode", "long beam", "three kinds beside it"],
+)
+def test_counts_are_those_of_a_solve(comm, boundary):
+    domain = Domain((0, 0, 0), (1, 1, 1), (32,) * 3, boundary)
     hierarchy = Hierarchy(comm, domain, [[((0, 8, 8), (31, 39, 31))]], max_grid_size=12, blocking_factor=4)
     rho = Field(hierarchy).fill(lambda x, y, z: 1 + x + 0 * y + 0 * z)
     space = FreeSpace(hierarchy.native)

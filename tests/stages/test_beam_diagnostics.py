@@ -17,7 +17,7 @@ from amrpic.particles.particles import Particles
 from amrpic.particles.species import SPECIES, SpeciesTable
 from amrpic.stages import beam_diagnostics as diagnostics
 from amrpic.stages.beam_diagnostics import FRACTIONS, Beam
-from amrpic.units import SPEED_OF_LIGHT
+from amrpic.units import SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
 
 ELECTRON, PROTON = SPECIES["electron"], SPECIES["proton"]
 TABLE = SpeciesTable.of_runs([(0, ELECTRON), (900, PROTON), (1500, ELECTRON)])
@@ -178,9 +178,52 @@ def test_slices_hold_all_of_the_charge_and_are_those_of_numpy(comm):
         for species in (0, 1):
             of = inside & (kind == species)
             if of.any():
-                v = np.average(u[of], axis=0, weights=weight[of])
-                current += TABLE.charges[species] * weight[of].sum() * v[2] / np.sqrt(1 + v @ v) * SPEED_OF_LIGHT
-        assert one.current == pytest.approx(current / (edges[1] - edges[0]), rel=1e-10)
+                gamma = np.sqrt(1 + (u[of] ** 2).sum(axis=1))
+                current += TABLE.charges[species] * (weight[of] @ (u[of, 2] / gamma)) * SPEED_OF_LIGHT
+        assert one.current == pytest.approx(current / (edges[1] - edges[0]), rel=2e-4)  # both of small spreads
+
+
+@pytest.mark.parametrize("period", [0.5, math.inf])
+def test_tune_depression_and_current_of_a_warm_beam_follow_from_its_mean_velocity(period):
+    """k²/k0² = T/(T + S), T = <p_x v_x>, S = q <x E_x> (1 - V²/c²) of charge that moves with its mean velocity V. Of an
+    elliptic beam <x E_x> is λ σ_x / (4π ε0 (σ_x + σ_y)) (Sacherer); what is a ball in its frame has E_x = γ Q x / (4π ε0 R³).
+    """
+    random = np.random.default_rng(11)
+    u = random.normal(size=(4000, 3)).clip(-4, 4) * (1.5, 1.2, 0.5) + (0, 0, 30)
+    gamma = np.sqrt(1 + (u**2).sum(axis=1))
+    speed = (u[:, 2] / gamma).mean()
+    boost = 1 / math.sqrt(1 - speed**2)
+    x = random.normal(size=(4000, 3))
+    x *= (random.random(4000) ** (1 / 3) / np.linalg.norm(x, axis=1))[:, None] * (1e-3, 1e-3, 1e-3 / boost)
+    if math.isfinite(period):
+        x[:, 1] *= 1.5
+        sizes = x[:, :2].std(axis=0)
+        of_charge = sizes[0] / (4 * np.pi * VACUUM_PERMITTIVITY * sizes.sum() * period)
+    else:
+        of_charge = boost * x[:, 0].var() / (4 * np.pi * VACUUM_PERMITTIVITY * 1e-9)
+    warmth = ELECTRON.mass * SPEED_OF_LIGHT**2 * (u[:, 0] ** 2 / gamma).mean()
+    charge = 2 * warmth / (ELECTRON.charge * of_charge * (1 - speed**2))  # S = 2 T
+    table = SpeciesTable((ELECTRON,))
+    weight = np.full(len(x), charge / ELECTRON.charge / len(x))
+    particles = Particles(x, u * ELECTRON.mass * SPEED_OF_LIGHT, weight, np.arange(len(x)), table)
+    groups, beam = Groups.of(table), Beam(particles, particles)
+    moments = diagnostics.group_moments(MPI.COMM_SELF, beam, groups)
+    part = moments[groups.members[0]]
+    assert part.tune_depression(0, period) == pytest.approx(math.sqrt(1 / 3), rel=0.01)
+    (whole,) = diagnostics.group_slices(MPI.COMM_SELF, beam, groups, moments, 1)[groups.members[0]]
+    assert whole.current * (whole.upper - whole.lower) == pytest.approx(charge * speed * SPEED_OF_LIGHT, rel=1e-5)
+
+
+def test_gamma_of_the_frame_keeps_its_digits_at_any_speed():
+    """Of two electrons across whose momenta cancel, u_x = ± 2, it is γ/√5, to γ of 2e7."""
+    table = SpeciesTable((ELECTRON,))
+    for along in (0.0, 1.0, 1e3, 2e7):
+        u = np.array([[2.0, 0, along], [-2.0, 0, along]])
+        particles = Particles(np.eye(3)[:2], u * ELECTRON.mass * SPEED_OF_LIGHT, np.ones(2), np.arange(2), table)
+        groups = Groups.of(table)
+        part = diagnostics.group_moments(MPI.COMM_SELF, Beam(particles, particles), groups)[groups.members[0]]
+        assert part.gamma == pytest.approx(math.sqrt(5 + along**2), rel=1e-12)
+        assert part.frame_gamma == pytest.approx(math.sqrt(5 + along**2) / math.sqrt(5), rel=1e-9)
 
 
 def unit_beam(comm, name, count=2**15, **options):

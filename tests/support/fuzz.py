@@ -47,7 +47,9 @@ BYTES_OF_ACCELERATION = 128  # per cell
 BYTES_PER_ROW = 4000  # of a domain a few cells wide and long: rows are padded, and each has neighbours and coefficients
 
 # Ghosts at open faces of one level, and the potential and field that they make, against the lattice; of the largest values.
+# Twice that in boxes a few cells thin, where conductors leave little of the potential.
 LATTICE_BOUNDS = {"ghosts": 1.5e-4, "phi": 1e-4, "field": 3e-4}
+THIN = 8  # cells
 LATTICE_CELLS = 40_000  # for more the exact potential takes long
 
 # Refusals that are documented: of cells for which there is no method or no memory.
@@ -176,7 +178,8 @@ def judge(case: Case, found: Outcome, plain: Outcome) -> tuple[list[Failure], fl
             fail("phi", f"differs by {worst:.2e} V, allowed are {bound:.2e} V, largest {plain.largest_phi:.2e} V")
     if found.ghosts is not None and case.total_cells <= LATTICE_CELLS:
         errors = lattice_errors(case, found.ghosts)
-        if not all(errors[name] <= bound for name, bound in LATTICE_BOUNDS.items()):
+        times = 2 if min(case.cells) < THIN else 1
+        if not all(errors[name] <= times * bound for name, bound in LATTICE_BOUNDS.items()):
             fail("lattice", ", ".join(f"{name} {error:.1e}" for name, error in errors.items()))
     for name, outcome, matrix_free in (("", found, case.backend == "matrix-free"), ("reference: ", plain, True)):
         per_cell = BYTES_PER_CELL + BYTES_OF_ACCELERATION * outcome.accelerated
@@ -191,9 +194,9 @@ def judge(case: Case, found: Outcome, plain: Outcome) -> tuple[list[Failure], fl
             fail("memory", f"{name}{outcome.growth / 1e6:.0f} MB for {outcome.cells} cells, at most {most / 1e6:.0f}")
     # Compressed rows may take fewer. Around an odd number of cells they relax the last ones as colours of their own; what is
     # constant along axes of short cells that nothing holds loses digits in the single precision of the other cycle; and that
-    # one's exact bottom has one ghost for each open wall, also if it is the base, some of whose cells are covered.
+    # one's exact bottom has one ghost for each open wall, also if some cells there are covered by finer ones.
     odd_ring = any("periodic" in pair and n % 2 for n, pair in zip(case.cells, case.boundary, strict=True))
-    open_bottom = math.prod(case.cells) <= 64 and any("open" in pair for pair in case.boundary)
+    open_bottom = math.prod(case.cells) <= (512 if case.levels else 64) and case.has_open
     taken, reference = cycles_taken(case, found), cycles_taken(case, plain)
     fewer = case.backend == "crs" and (odd_ring or open_bottom or is_loose(case)) and taken < reference
     if abs(taken - reference) > (LOOSE_VARIATION if case.levels and is_loose(case) else VARIATION) and not fewer:
@@ -208,7 +211,8 @@ def lattice_errors(case: Case, ghosts: Sequence[np.ndarray]) -> dict[str, float]
     """Those of ghosts against the exact lattice potential; of values that charge of one sign would make."""
     counted = counted_at_ghosts(case.charges(), case.boundary)
     lattice = LatticeBetweenFaces(case.cells, case.spacing, case.boundary)
-    return ghost_errors(ghosts, *lattice(np.array([counted, abs(counted)])), case.spacing, case.boundary)
+    exact, of_magnitudes = lattice(np.array([counted, abs(counted)]))
+    return ghost_errors(ghosts, exact, of_magnitudes, case.spacing, case.boundary)
 
 
 def shown(residuals: Sequence[float]) -> str:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import functools
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -113,9 +114,9 @@ class Axis:
             damped = 2 / self._period * np.exp(-np.outer(k**2, variance) / 2)
             phases = [(sign, k * (x - place)) for sign, place in self._images]
             if slope:
-                return sum(-sign * k * np.sin(phase) for sign, phase in phases) @ damped
-            return sum(sign * np.cos(phase) for sign, phase in phases) @ damped + self._mean
-        return sum(
+                return total(-sign * k * np.sin(phase) for sign, phase in phases) @ damped
+            return total(sign * np.cos(phase) for sign, phase in phases) @ damped + self._mean
+        return total(
             sign * normal(x - place, variance) * (-(x - place) / variance if slope else 1.0)
             for sign, place in self._images
         )
@@ -165,5 +166,9 @@ class Axis:
         return 2 * np.pi / self._period * np.arange(1, int(9 * self._period / (2 * np.pi * self.sigma)) + 2)
 
 
-def normal(x: Array, variance: float) -> Array:
+def total(terms: Iterable[Array]) -> Array:
+    return functools.reduce(np.add, terms)
+
+
+def normal(x: Array, variance: Array) -> Array:
     return np.exp(-(x**2) / (2 * variance)) / np.sqrt(2 * np.pi * variance)

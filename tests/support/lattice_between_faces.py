@@ -41,12 +41,13 @@ class LatticeBetweenFaces:
             np.flatnonzero(np.moveaxis(charges, axis, 0).any(axis=tuple(range(1, charges.ndim))))
             for axis in (-3, -2, -1)
         ]
-        used = charges[(..., *np.ix_(*charged))]
+        cells = np.ix_(*charged)
+        used = charges[..., cells[0], cells[1], cells[2]]
         kernels = [np.ascontiguousarray(k[:, :, cells]) for k, cells in zip(self.kernels, charged, strict=True)]
         shape = tuple(n + 2 for n in self.cells)
         potential = np.zeros((*charges.shape[:-3], *shape))
         for weight, kx, ky, kz in zip(self.weights, *kernels, strict=True):
-            along_x = kx @ used.reshape(*used.shape[:-2], -1)
+            along_x = kx @ used.reshape(*used.shape[:-2], used.shape[-2] * used.shape[-1])
             along_xy = ky @ along_x.reshape(*along_x.shape[:-1], *used.shape[-2:])
             potential += along_xy @ (weight * kz.T)
         potential /= np.prod(self.spacing)
@@ -192,7 +193,7 @@ def solved(
     into = [np.linalg.inv(found.eigenvectors) for found in waves]
     value = np.einsum("ia,jb,kc,abc->ijk", *into, value, optimize=True) / symbol
     phi = np.einsum("ia,jb,kc,abc->ijk", *(found.eigenvectors for found in waves), value, optimize=True)
-    return phi, field_of(phi, h, boundary, ghosts, quadratic)
+    return phi, field_of(phi, spacing, boundary, ghosts, quadratic)
 
 
 def minus_second_difference(n: int, faces: tuple[str, str], quadratic: bool) -> np.ndarray:

@@ -21,7 +21,7 @@ from .plan import Plan
 from .solution import Solution
 from .state import State
 
-EVERY = 16  # steps from one look at images in a wall left behind to the next
+EVERY = 16  # steps from one look at how much images act to the next
 WEAK = 1e-4  # of the charge's own force on itself, below which images in a wall left behind are given up
 
 
@@ -29,7 +29,7 @@ def frames_with_images(state: State, plan: Plan) -> Frames:
     """Return the frames of a state's field, without the wall left behind once images in it no longer count. Collective."""
     solution, particles = state.solution, state.particles
     frames, images, mirror = solution.frames, solution.images, solution.frames.mirror
-    if images is None or mirror is None or not frames.leaves or state.step % EVERY:
+    if images is None or mirror is None or not frames.leaves or (state.step + 1) % EVERY > 0:
         return frames
     of_images, own = (rms_force(part, particles, plan.clouds) for part in (images, replace(solution, images=None)))
     if of_images >= WEAK * own:

@@ -206,6 +206,7 @@ def _state(plan: Plan, held: Snapshot, stored: Hierarchy, hierarchy: Hierarchy) 
 def _solution(plan: Plan, fields: Mapping[str, Field], extra: Mapping[str, Any]) -> Solution:
     """Return what was solved for, as a checkpoint holds it. Collective."""
     frames, images = _frames(extra), None
+    plan.say_what_is_left(frames)  # so that what the log has up to the checkpoint does not come again
     solution = _part(fields, frames, extra["report"], OF_CHARGE)
     if frames.only is not None:
         plan.compensate(solution.efield, solution.rho, frames.only)

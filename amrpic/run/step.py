@@ -39,8 +39,7 @@ def advance(state: State, plan: Plan) -> State:
         particles, deposition, lost, screens = fly(state, moved, course.window, plan)
     turn = state.window.turn_to(course.window)
     behind = None if turn is None else part_of(turn.T, plan.dt / 2 / state.flight)  # momenta are, of the latest turn
-    last = frames_with_images(state, plan)
-    frames = plan.frames(particles, last, lost.particles, behind, course.window)
+    frames = plan.frames(particles, frames_with_images(state, plan), lost.particles, behind, course.window)
     fields = ParticleFields(particles, state.hierarchy, plan, state.solution, frames, deposition)
     if plan.scene.refinement.regrids_at(step) or outrun(fields):
         fields = follow(fields, plan.scene.refinement.hysteresis)

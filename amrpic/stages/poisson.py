@@ -163,6 +163,11 @@ class PoissonSolver:
         without a plane that makes them.
         """
         self._require_home("rho", rho)
+        if self.mirror is not None and (boundary_values, boundary_flux) != (None, None):
+            raise SolverError(
+                "walls are given values, which are at rest, in a solver with a mirror, for charge that moves; solve for their "
+                "field by one without"
+            )
         if image and not (self.mirror is not None and self.mirror.reflects):
             raise SolverError("images of ρ are asked for, but no plane mirrors it; give the solver a mirror with one")
         if guess is not None:

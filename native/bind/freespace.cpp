@@ -30,6 +30,10 @@ nb::ndarray<nb::numpy, std::complex<double>> from_moments(Harmonics<double> cons
   return bind::to_array(std::move(out));
 }
 
+Options options_beside(WallMesh const& mesh, int order) {
+  return Options::of(order, !mesh.images.are_none(), mesh.images.lattices());
+}
+
 /// The free space around a mesh, with the faces behind which its potential is wanted.
 struct OpenWalls {
   struct AtLevel {
@@ -150,7 +154,7 @@ void bind_freespace(nb::module_& m) {
           "__init__",
           [](OpenWalls* self, std::shared_ptr<Hierarchy const> const& mesh, std::optional<double> acceptance,
              std::optional<double> lattice_limit, std::optional<double> separation, int order) {
-            Options options = Options::of(order, wall_mesh(*mesh).images.lattices());
+            Options options = options_beside(wall_mesh(*mesh), order);
             options.acceptance = acceptance.value_or(options.acceptance);
             options.lattice_limit = lattice_limit.value_or(options.lattice_limit);
             options.separation = separation.value_or(options.separation);
@@ -192,7 +196,7 @@ void bind_freespace(nb::module_& m) {
           "__init__",
           [](WallGeometry* self, std::shared_ptr<Hierarchy const> const& mesh,
              std::vector<std::vector<int>> const& first_boxes) {
-            new (self) WallGeometry(shared_out(*mesh, first_boxes), Options::of(2, wall_mesh(*mesh).images.lattices()));
+            new (self) WallGeometry(shared_out(*mesh, first_boxes), options_beside(wall_mesh(*mesh), 2));
           },
           "hierarchy"_a, "first_boxes"_a = std::vector<std::vector<int>>{}, nb::call_guard<nb::gil_scoped_release>(),
           "What all ranks know of the open walls of a mesh. `first_boxes`: per level, where the run of each rank "
@@ -209,7 +213,7 @@ void bind_freespace(nb::module_& m) {
               std::vector<ChargedRegion> regions;
               for (auto const& [lower, upper] : charged) regions.push_back({lower, upper});
               std::shared_ptr<WallGeometry const> const shared(&self, [](WallGeometry const*) {});
-              found = count(WallPlan(shared, rank), Options::of(2, self.mesh.images.lattices()), regions);
+              found = count(WallPlan(shared, rank), options_beside(self.mesh, 2), regions);
             }
             return to_dict(found);
           },

@@ -46,7 +46,7 @@ PoissonSolver::PoissonSolver(std::shared_ptr<Hierarchy const> hierarchy, SolverO
 }
 
 void PoissonSolver::plan_open_walls() {
-  int const layers = freespace::Options::of(options_.order, 0).layers();
+  int const layers = freespace::Options::of(options_.order).layers();
   freespace::Across across = options_.across;
   if (across.axis >= 0)
     for (Real& place : across.place) place *= options_.stretch[across.axis];
@@ -54,7 +54,8 @@ void PoissonSolver::plan_open_walls() {
   bool const has_images = !mesh.images.are_none();
   if (!reusable_.free_space)
     reusable_.free_space = std::make_shared<freespace::FreeSpace>(
-        hierarchy_->comm(), mesh.lattice, has_images, freespace::Options::of(options_.order, mesh.images.lattices()));
+        hierarchy_->comm(), mesh.lattice, has_images,
+        freespace::Options::of(options_.order, has_images, mesh.images.lattices()));
   wall_plan_ = reusable_.free_space->plan(mesh);
   for (int l = 0; l < hierarchy_->level_count(); ++l) {
     if (layers > 1) walls_[l].second.assign(walls_[l].faces.size(), 0.0);

@@ -254,6 +254,9 @@ def test_mirrors_that_cannot_be_are_refused() -> None:
     for solver in (PoissonSolver(hierarchy), PoissonSolver(hierarchy, mirror=Mirror(2))):
         with pytest.raises(SolverError, match="images of ρ are asked for, but no plane mirrors it"):
             solver.solve(rho, image=True)
+    mirrors = PoissonSolver(hierarchy, mirror=Mirror.of_faces(hierarchy.domain, 2))
+    with pytest.raises(SolverError, match="walls are given values, which are at rest, in a solver with a mirror"):
+        mirrors.solve(rho, boundary_values=lambda x, y, z: 1.0)
     closed = mesh(16, 1.0, "dirichlet")
     with pytest.raises(SolverError, match="screening is 2 with a mirror"):
         PoissonSolver(closed, screening=2.0, mirror=Mirror.of_faces(closed.domain, 2))

@@ -184,7 +184,6 @@ def _state(plan: Plan, held: Snapshot, stored: Hierarchy, hierarchy: Hierarchy) 
     course = Course.from_dict(extra["course"]) if "course" in extra else Course.of_scene(plan.scene)
     course = course.on_base_of(plan.scene)
     solution = _solution(plan, fields, extra)
-    plan.say_what_is_left(solution.frames)  # so that what the log has up to the checkpoint does not come again
     known = ParticleFields(particles, hierarchy, plan, solution, solution.frames)
     if another:
         known.frames = mirrored(solution.frames, solution.frames, plan.scene, course.window)

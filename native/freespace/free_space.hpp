@@ -20,6 +20,11 @@ class FreeSpace {
   FreeSpace(Communicator const& comm, Lattice const& lattice, bool has_images, Options const& options = {});
   Lattice const& lattice() const { return lattice_; }
   Options const& options() const { return options_; }
+  /// Whether it serves a mesh with images or without, and such options.
+  bool is_for(bool has_images, Options const& options) const {
+    return has_images == has_images_ && options.acceptance == options_.acceptance &&
+           options.lattice_limit == options_.lattice_limit;
+  }
 
   /// Who does what on a mesh of this lattice. Local.
   std::shared_ptr<WallPlan const> plan(WallMesh const& mesh) const;

@@ -30,8 +30,8 @@ struct LevelOperators {
   SparseMatrix fine_boundary;                 ///< columns: next finer level
   SparseMatrix restriction;                   ///< rows of covered cells; columns: next finer level
   SparseMatrix prolongation;                  ///< columns: next coarser level
-  std::vector<char> uncovered;            ///< diagonal of the eighth operator: 1 where no finer level covers the cell
-  std::array<GradientAxis, 3> gradient;   ///< empty until assemble_gradient
+  std::vector<char> uncovered;           ///< diagonal of the eighth operator: 1 where no finer level covers the cell
+  std::array<GradientAxis, 3> gradient;  ///< empty until assemble_gradient
   bool has_gradient = false;
   bool has_gaps = false;  ///< rows of this rank have fits in narrow gaps, which depend on the two next finer levels
 

@@ -389,13 +389,19 @@ def test_waves_between_periodic_faces_fade_away_from_their_wall(kind, order):
     def exact(x, y, z):
         return mean + np.cos(k * x) * np.exp(-k * z) / (1 if kind == "dirichlet" else k) + 0 * y
 
+    def error(n, upper):
+        hierarchy = cube(n, {"x": "periodic", "y": "periodic", "z": (kind, upper)}, depth=0.25)
+        values = exact if upper == "dirichlet" else on_face
+        phi, _ = solve(hierarchy, values=values, slopes=on_face if kind == "neumann" else None, order=order)
+        return np.array(errors([phi.as_points()], exact))
+
     cells = (32, 48)
-    found = []
-    for n in cells:
-        hierarchy = cube(n, {"x": "periodic", "y": "periodic", "z": (kind, "open")}, depth=0.25)
-        phi, _ = solve(hierarchy, **{"values" if kind == "dirichlet" else "slopes": on_face}, order=order)
-        found.append(errors([phi.as_points()], exact))
-    if order == 2:
+    found = [error(n, "open") for n in cells]
+    if order == 2 and kind == "dirichlet":  # the mesh shows an order of 1.85 with the exact potential above, too
+        assert all((of_open < 1.2 * error(n, "dirichlet")).all() for n, of_open in zip(cells, found, strict=True)), (
+            found
+        )
+    elif order == 2:
         check_order_two(cells, found)
     else:
         assert found[-1][1] < 2e-5 and observed_order(cells, [of_mesh[0] for of_mesh in found]) > 3.5, found

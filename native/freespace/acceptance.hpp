@@ -31,7 +31,7 @@ struct Options {
     if (order == 4) return {0.3, 16, 1e-7, 2, 2e-7, 4, 0.6, 0.15, 5};
     Options out;
     if (!has_images) return out;
-    out.acceptance = out.of_weak = std::array{0.5, 0.45, 0.35}[std::size_t(lattices)];
+    out.acceptance = out.of_weak = std::array{0.5, 0.45, 0.3}[std::size_t(lattices)];
     out.lattice_limit = 6 / out.acceptance;
     return out;
   }

@@ -240,8 +240,7 @@ void add_images(Octree& tree, Images const& images, Which which, Options const& 
       for (int node : tree.repeated) add_lattice(tree, node, together, images, options.doublings);
 }
 
-Closing::Closing(Octree const& tree, Images const& images, Which which, Options const& options)
-    : doublings_(options.doublings) {
+Closing::Closing(Octree const& tree, Images const& images, Which which, Options const& options) {
   Point const shape = images.shape();
   if (options.operator_order == 2) h2_ = {shape[0] * shape[0], shape[1] * shape[1], shape[2] * shape[2]};
   int axes = 0;
@@ -249,28 +248,25 @@ Closing::Closing(Octree const& tree, Images const& images, Which which, Options 
     if (images.axis(d).period == 0) continue;
     along_[std::size_t(axes++)] = d;
     period_[d] = images.axis(d).period * shape[d];
+    reach_[d] = std::ldexp(period_[d], images.doublings(d, options.doublings));
   }
   if (axes == 2) normal_ = 3 - along_[0] - along_[1];
   for (int n : tree.repeated)
     for (auto const& together : images.copies(which))
       for (Image const& image : together)
-        add({tree.nodes[std::size_t(n)], tree.moments[std::size_t(n)]}, image, images);
+        add(image_of({tree.nodes[std::size_t(n)], tree.moments[std::size_t(n)]}, image, shape));
 }
 
-void Closing::add(Member const& given, Image const& image, Images const& images) {
-  Member const member = image_of(given, image, images.shape());
+void Closing::add(Member const& member) {
   auto const& m = member.moments;
-  Copy copy{member.node.centre, plain_moments(m).dipole, m[0].re, member.node.lattice.charge, {}, {}};
+  Copy copy{member.node.centre, plain_moments(m).dipole, m[0].re, member.node.lattice.charge, {}};
   double const m20 = m[harmonic_index(2, 0)].re;
   auto const &m21 = m[harmonic_index(2, 1)], &m22 = m[harmonic_index(2, 2)];
   // Without trace: 3 z^2 - r^2 sums to 4 M20, x z + i y z to 2 M21, x^2 - y^2 to 8 Re M22, x y to 4 Im M22.
   copy.second = {{{4 * m22.re - 2 * m20 / 3, 4 * m22.im, 2 * m21.re},
                   {4 * m22.im, -4 * m22.re - 2 * m20 / 3, 2 * m21.im},
                   {2 * m21.re, 2 * m21.im, 4 * m20 / 3}}};
-  for (int d = 0; d < 3; ++d) {
-    copy.second[std::size_t(d)][std::size_t(d)] -= copy.charge * period_[d] * period_[d] / 12;
-    copy.reach[d] = std::ldexp(period_[d], images.doublings(d, doublings_));
-  }
+  for (int d = 0; d < 3; ++d) copy.second[std::size_t(d)][std::size_t(d)] -= copy.charge * period_[d] * period_[d] / 12;
   copies_.push_back(copy);
 }
 
@@ -291,7 +287,7 @@ double Closing::around_axis(Copy const& copy, Point const& x) const {
   double const rho2 = x[u] * x[u] + x[v] * x[v];
   double sum = -2 * copy.charge * std::log(period_[w]);
   for (int side : {-1, 1}) {
-    double const end = 0.5 * period_[w], a = side < 0 ? x[w] + end + copy.reach[w] : copy.reach[w] - end - x[w];
+    double const end = 0.5 * period_[w], a = side < 0 ? x[w] + end + reach_[w] : reach_[w] - end - x[w];
     double const r = std::sqrt(a * a + rho2), near = 1 / (r * (a + r));
     double const bend = -(2 * r + a) * near * near / r;  // slope of `near` along u, over u
     double const da = side < 0 ? 1 : -1;                 // slope of a
@@ -331,7 +327,7 @@ double Closing::beside_plane(Copy const& copy, Point const& x) const {
     for (int side_q : {-1, 1}) {
       auto const to_end = [&](int axis, int side) {
         double const end = 0.5 * period_[axis];
-        return side < 0 ? x[axis] + end + copy.reach[axis] : copy.reach[axis] - end - x[axis];
+        return side < 0 ? x[axis] + end + reach_[axis] : reach_[axis] - end - x[axis];
       };
       double const u = to_end(p, side_p), v = to_end(q, side_q), du = -side_p, dv = -side_q;
       double const r = std::sqrt(u * u + v * v + z * z), angle = std::atan2(u * v, z * r);

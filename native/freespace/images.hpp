@@ -86,17 +86,15 @@ class Closing {
     Point centre, dipole;
     double charge, of_lattice;                    ///< as `LatticeMoments`
     std::array<std::array<double, 3>, 3> second;  ///< sum q x x, without trace, less what a uniform period has
-    Point reach;                                  ///< of blocks to either side
   };
-  void add(Member const& given, Image const& image, Images const& images);
+  void add(Member const& member);
   double around_axis(Copy const& copy, Point const& from_centre) const;
   double beside_plane(Copy const& copy, Point const& from_centre) const;
 
-  int doublings_;
   std::vector<Copy> copies_;
   std::array<int, 2> along_{-1, -1};  ///< the lattice axes
   int normal_ = -1;                   ///< of a plane of two
-  Point period_{}, h2_{};
+  Point period_{}, reach_{}, h2_{};   ///< reach: of blocks to either side
 };
 
 }  // namespace amrpic::freespace

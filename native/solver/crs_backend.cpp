@@ -76,7 +76,7 @@ class CrsBackend : public Backend {
   LevelOperators const& operators(int level) const { return *operators_[multigrid_levels_.base + std::size_t(level)]; }
   MultigridLevel& cycle_level(int l) { return multigrid_.level(multigrid_levels_.base + std::size_t(l)); }
   /// What a correction of this cycle is divided by to be one of the matrix-free cycle. Here residuals are scaled by
-  /// `scale_[0]` on all levels, so that both cycles see the same ones on the base, but for its spacing squared.
+  /// `scale_[0]` on all levels, so that both cycles have equal ones on the base, apart from its spacing squared.
   Real unit_of_correction() { return cycle_.level(0).scale(); }
 
   MultigridOperators assembled(Reusable& reusable);

@@ -23,15 +23,16 @@ struct Options {
   double of_images = 0.25;      ///< the acceptance of blocks of copies: hundreds of charges of one sign, perhaps
   int doublings = 3;            ///< of such a block, as long as all else is wide, to where a lattice is closed
 
-  /// What goes with an operator, and with images, which repeat along so many axes: what two lattices leave of the
-  /// potential may be little, and images are cheap there. The limits are those of blocks of eight cubes, so that they
-  /// take no further charges one by one. In fourth order the lattice fades by the fourth power of the distance and is
-  /// left out from `lattice_limit` on, where it is 8e-6 of the potential; the rest is about as exact.
+  /// What goes with an operator, and with images, which repeat along so many axes: where conductors leave little of the
+  /// potential, what is neglected counts for more of it, so that boxes have to be further away; those with less charge
+  /// than others need not. In fourth order the lattice fades by the fourth power of the distance and is left out from
+  /// `lattice_limit` on, where it is 8e-6 of the potential; the rest is about as exact.
   static Options of(int order, bool has_images = false, int lattices = 0) {
     if (order == 4) return {0.3, 16, 1e-7, 2, 2e-7, 4, 0.6, 0.15, 5};
     Options out;
     if (!has_images) return out;
-    out.acceptance = out.of_weak = std::array{0.5, 0.45, 0.3}[std::size_t(lattices)];
+    out.acceptance = std::array{0.45, 0.39, 0.3}[std::size_t(lattices)];
+    out.of_weak = std::array{0.5, 0.5, 0.3}[std::size_t(lattices)];
     out.lattice_limit = 6 / out.acceptance;
     return out;
   }

@@ -14,6 +14,7 @@ Sight::Sight(WallMesh const& mesh, BlockGrids const& grids, WallPatches const& p
       shape_(lattice_.shape()),
       images_(mesh.images),
       has_images_(!images_.are_none()),
+      finest_(int(mesh.levels.size()) - 1),
       near_cells_(near_cells(lattice_, options)) {
   Cell const widest = widest_blocks(shape_);
   double const longest = longest_spacing(shape_);
@@ -44,7 +45,7 @@ Sight::BlockBox Sight::box_of(Block const& block) const {
   for (int d = 0; d < 3; ++d) {
     double const spacing = std::ldexp(shape_[d], -out.level);
     out.centre[d] = 0.5 * (cells.lower[d] + cells.upper[d] + 1) * spacing;
-    out.half[d] = 0.5 * cells.extent(d) * spacing;
+    out.half[d] = 0.5 * cells.extent(d) * spacing - 0.5 * std::ldexp(shape_[d], -finest_);
   }
   out.radius = std::hypot(out.half[0], out.half[1], out.half[2]);
   out.limit = margin * far_limit(options_, out.radius, reach_[std::size_t(out.level)].spacing);

@@ -37,7 +37,7 @@ class Sight {
   /// A block, whatever charge it holds.
   struct BlockBox {
     Point centre, half;  ///< of the centres of its finest cells
-    double limit;  ///< from where on it is a multipole
+    double limit;        ///< from where on it is a multipole
     double radius;
     int level;
   };
@@ -94,7 +94,7 @@ class Sight {
   Point shape_;
   Images images_;
   bool has_images_;
-  int finest_;  ///< level
+  int finest_;                     ///< level
   Cell near_cells_;                ///< from a wall, of leaves that are summed
   std::vector<LevelReach> reach_;  ///< by level
 };

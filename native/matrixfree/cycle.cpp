@@ -62,7 +62,7 @@ bool leaves_mean(MultigridLevels const& multigrid) {
   Real const of_others = smallest_eigenvalue(*multigrid.levels[multigrid.base], multigrid.boundary, 0);
   bool const is_free = std::all_of(multigrid.boundary.begin(), multigrid.boundary.end(), is_closed);
   return is_free &&
-         multigrid.shift < std::max(1e-10 * of_others, 1e-15 * multigrid.equation(multigrid.base).diagonal());
+         multigrid.shift < std::max(1e-9 * of_others, 1e-15 * multigrid.equation(multigrid.base).diagonal());
 }
 
 /// Walls of the coarsest level, with the open ones where corrections vanish behind the middle of each face.

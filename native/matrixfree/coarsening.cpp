@@ -17,7 +17,7 @@ Coarsening::Coarsening(Communicator const& comm, SweptLevel& fine, SweptLevel& c
       // Such boxes make up the same larger blocks on both levels, unless they end at seams, which these have at places
       // of their own.
       in_place_(pair.parents_in_place && !fine.layout().has_seam() && !coarse.layout().has_seam()) {
-  lay_out_coarse_patches(comm, ghosts, pair.known);
+  lay_out_coarse_patches(comm, ghosts, pair.most_direct, pair.known);
   if (coarse.level().ranks() == 1 && fine.level().ranks() > 1) plan_gathering();
   if (refines_)
     interface_ = InterfaceCells(fine.level(), coarse.level(), pair.finer, fine.layout(), fine.faces(), coarse_patches_,
@@ -25,7 +25,8 @@ Coarsening::Coarsening(Communicator const& comm, SweptLevel& fine, SweptLevel& c
 }
 
 /// Lay out the parents of own blocks with their ghost cells, and plan how their values come.
-void Coarsening::lay_out_coarse_patches(Communicator const& comm, CoarseGhosts const& ghosts, KnownReads* known) {
+void Coarsening::lay_out_coarse_patches(Communicator const& comm, CoarseGhosts const& ghosts, int most_direct,
+                                        KnownReads* known) {
   Layout const& layout = fine_.layout();
   Level const& coarser = coarse_.level();
   std::vector<Copied> local, local_targets;
@@ -81,13 +82,14 @@ void Coarsening::lay_out_coarse_patches(Communicator const& comm, CoarseGhosts c
   auto const exchange = [&](std::vector<Copied> const& copied, int around, bool has_relays) {
     auto const near = [&](Box const& o) { return o.grow(around).refine(ratio_); };
     auto const regions = [&](int b, auto&& read) { read(level.box(b).coarsen(ratio_).grow(around)); };
-    RoutesOf routes_of;
+    Routes routes{most_direct, {}};
     if (has_relays)
-      routes_of = [&](int owner) {
+      routes.of = [&](int owner) {
         std::shared_ptr<RoutedReads const> found;
         auto& of_owner = known ? (*known)[owner] : found;
         if (!of_owner)
-          of_owner = std::make_shared<RoutedReads const>(copies_asked_of(owner, level, coarser, near, regions));
+          of_owner =
+              std::make_shared<RoutedReads const>(copies_asked_of(owner, level, coarser, near, regions), most_direct);
         return of_owner;
       };
     return RectangleExchange(
@@ -95,7 +97,7 @@ void Coarsening::lay_out_coarse_patches(Communicator const& comm, CoarseGhosts c
         [this](Box const& box, Part const& f) {
           for_each_part(coarse_patches_.begin(), coarse_patches_.end(), box, f);
         },
-        Colours::all, routes_of);
+        Colours::all, routes);
   };
   // Where parents are in place each rank meets its neighbours alone, else all that share the children of one.
   parents_ = exchange(local, reach, !in_place_);

@@ -30,6 +30,7 @@ class Coarsening {
     bool has_gaps = false;                        ///< somewhere, on any rank, see `GapFit`
     Level const* finer = nullptr;                 ///< the level after the finer one
     std::shared_ptr<GapFits> gap_fits = nullptr;  ///< to take fits in gaps from and put them in; if `refines`
+    int most_direct = most_direct_readers;        ///< of its parents
     KnownReads* known = nullptr;  ///< what is known of those that read parents, and is added to; else none
   };
   /// Collective.
@@ -67,7 +68,7 @@ class Coarsening {
     std::int32_t from, to;
     float factor;
   };
-  void lay_out_coarse_patches(Communicator const& comm, CoarseGhosts const& ghosts, KnownReads* known);
+  void lay_out_coarse_patches(Communicator const& comm, CoarseGhosts const& ghosts, int most_direct, KnownReads* known);
   Vector& clear_target();
   void update_gaps();
   /// The parents that take the residuals of an own block.

@@ -87,7 +87,7 @@ MultigridLevels Cycle::levels_of(Hierarchy const& hierarchy, Real shift, int ord
 }
 
 Cycle::Cycle(Communicator const& comm, MultigridLevels multigrid, int max_grid_size, Relaxation const& relaxation,
-             std::shared_ptr<GapFits> gap_fits, Known* known)
+             std::shared_ptr<GapFits> gap_fits, int most_direct, Known* known)
     : comm_(comm), multigrid_(std::move(multigrid)), relaxation_(relaxation) {
   Real const shift = multigrid_.shift;
   OpenWalls const open_walls(multigrid_);
@@ -110,7 +110,7 @@ Cycle::Cycle(Communicator const& comm, MultigridLevels multigrid, int max_grid_s
       level.coarsening = std::make_unique<Coarsening>(
           comm, *level.swept, *levels_.back().swept, multigrid_.ratio[l],
           Coarsening::Pair{multigrid_.refines(l), multigrid_.parents_in_place[l] != 0, has_gaps[l] != 0,
-                           multigrid_.beside(l).finer, gap_fits, known ? &(*known)[l] : nullptr},
+                           multigrid_.beside(l).finer, gap_fits, most_direct, known ? &(*known)[l] : nullptr},
           CoarseGhosts{[&](Index3 const& cell, int axis, int side) {
                          return prolonged_end(multigrid_, open_walls, l - 1, cell, axis, side);
                        },

@@ -32,16 +32,17 @@ struct LevelWork {
 class Cycle {
  public:
   /// `shift`: of the Equation. `order`: of the residual that corrections are for. `gap_fits`: what is known of fits in
-  /// gaps, and is added to. Collective.
+  /// gaps, and is added to. `most_direct`: see `most_direct_readers`. Collective.
   Cycle(Communicator const& comm, Hierarchy const& hierarchy, Real shift, Relaxation const& relaxation, int order = 2,
-        std::shared_ptr<GapFits> gap_fits = std::make_shared<GapFits>())
-      : Cycle(comm, levels_of(hierarchy, shift, order), hierarchy.max_grid_size(), relaxation, std::move(gap_fits)) {}
+        std::shared_ptr<GapFits> gap_fits = std::make_shared<GapFits>(), int most_direct = most_direct_readers)
+      : Cycle(comm, levels_of(hierarchy, shift, order), hierarchy.max_grid_size(), relaxation, std::move(gap_fits),
+              most_direct) {}
   /// What all ranks know of who reads whose corrections, by levels.
   using Known = std::vector<KnownReads>;
   /// On levels of `levels_of`. `known`, if given, is what the cycles of other virtual ranks found, and is added to.
   /// Collective.
   Cycle(Communicator const& comm, MultigridLevels multigrid, int max_grid_size, Relaxation const& relaxation,
-        std::shared_ptr<GapFits> gap_fits, Known* known = nullptr);
+        std::shared_ptr<GapFits> gap_fits, int most_direct, Known* known = nullptr);
 
   /// The levels of a hierarchy and those below the base. Local.
   static MultigridLevels levels_of(Hierarchy const& hierarchy, Real shift, int order = 2);
@@ -103,7 +104,7 @@ class CyclePlans {
   std::vector<LevelWork> work(int rank) {
     auto const there = hierarchy_->seen_by(rank);
     return Cycle(there->comm(), seen_by(multigrid_, *there), there->max_grid_size(), relaxation_,
-                 std::make_shared<GapFits>(), &known_)
+                 std::make_shared<GapFits>(), most_direct_readers, &known_)
         .work();
   }
 

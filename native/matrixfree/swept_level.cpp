@@ -1,7 +1,8 @@
 #include "matrixfree/swept_level.hpp"
 
 #include <algorithm>
-#include <stdexcept>
+
+#include "base/error.hpp"
 
 namespace amrpic::matrixfree {
 
@@ -99,7 +100,7 @@ SweptLevel::PlaceAndDiagonal SweptLevel::place_and_diagonal(Index3 const& cell) 
     RowStencil const& row = stencil_.block(std::size_t(b)).rows[std::size_t(j + block.box.extent(1) * k)];
     return {std::size_t(block.place(cell)), stencil_.diagonal(row.coefficients)[i]};
   }
-  throw std::logic_error("the cell is not one of this rank's");
+  fail_alone("the cell is not one of this rank's");
 }
 
 /// Run a stage over the rows of own blocks that rows(block, plane) chooses.

@@ -146,9 +146,12 @@ void Coarsening::restrict_rows() {
       });
 }
 
-void Coarsening::restrict_residual() {
+void Coarsening::prepare_residual() {
   if (has_gaps()) update_gaps();
   fine_.prepare_residual();
+}
+
+void Coarsening::restrict_residual() {
   restrict_rows<true>();
   if (plan_.refines_) interface_.subtract_flux(fine_.correction().array(), target());
   add_to_coarse_level();
@@ -233,7 +236,7 @@ void Coarsening::prolong_rows() {
       });
 }
 
-void Coarsening::prolong(matrixfree::Coarsening::Into into) {
+void Coarsening::prolong(matrixfree::Into into) {
   parents_.update(coarse_.correction().array(), values_.array());
   auto const values = values_.array();
   auto const ghosts = lists_.ghosts;
@@ -241,7 +244,7 @@ void Coarsening::prolong(matrixfree::Coarsening::Into into) {
       "ghosts of coarse corrections", ghosts,
       KOKKOS_LAMBDA(std::int32_t n) { values(ghosts(n).to) = ghosts(n).factor * values(ghosts(n).from); });
   if (plan_.refines_) interface_.subtract_coarse(values, fine_.right_hand_side().array());
-  into == matrixfree::Coarsening::Into::place ? prolong_rows<true>() : prolong_rows<false>();
+  into == matrixfree::Into::place ? prolong_rows<true>() : prolong_rows<false>();
   fine_.corrections_are_new();
   if (has_gaps()) update_gaps();
   fine_.exchange_corrections(plan_.refines_);

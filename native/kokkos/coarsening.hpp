@@ -14,6 +14,7 @@ class Coarsening {
   Coarsening(Communicator const& comm, matrixfree::Coarsening& plan, SweptLevel& fine, SweptLevel& coarse);
 
   /// Leave the coarser level's right-hand side: see matrixfree::Coarsening. All are collective.
+  void prepare_residual();
   void restrict_residual();
   void restrict_right_hand_side();
 
@@ -23,7 +24,7 @@ class Coarsening {
 
   /// Fetch the coarser correction, take its part of the ghosts into the finer right-hand side, and add it to the finer
   /// correction, or put it in its place.
-  void prolong(matrixfree::Coarsening::Into into);
+  void prolong(matrixfree::Into into);
 
   std::size_t bytes() const;
 

@@ -79,6 +79,7 @@ class SweptLevel {
   void relax(int sweeps, bool from_zero, int further);
   void exchange_right_hand_sides();
   void exchange_corrections(bool boundary_changed);
+  void finish() {}
   void corrections_are_new() { stale_ = matrixfree::both_colours; }
   /// Bring what a residual in own cells reads.
   void prepare_residual();

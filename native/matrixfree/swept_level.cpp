@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <stdexcept>
+#include <utility>
 
 namespace amrpic::matrixfree {
 
@@ -55,9 +56,8 @@ SweptLevel::SweptLevel(Communicator const& comm, std::shared_ptr<Level const> le
   edge_halo_ = RectangleExchange(comm, layout_, images_at_edges, at_edges(*level_, layout_.across_ranks()), copies);
 }
 
-std::vector<PlaneStage> SweptLevel::relaxations(int sweeps, bool from_zero, int further) {
+void SweptLevel::relax(int sweeps, bool from_zero, int further) {
   if (rehearsal_) rehearsal_->sweeps += sweeps, rehearsal_->relaxed += relaxed_cells(sweeps, further);
-  std::vector<PlaneStage> out;
   if (from_zero && sweeps == 0) {
     std::fill(e_.begin(), e_.end(), 0.0f);
     stale_ = 0;
@@ -72,9 +72,8 @@ std::vector<PlaneStage> SweptLevel::relaxations(int sweeps, bool from_zero, int 
       else
         sweep_.relax(b, k, h.colour, rows, r_, e_);
     };
-    out.push_back({relax, h.reads, h.changes});
+    then({relax, h.reads, h.changes});
   }
-  return out;
 }
 
 Real SweptLevel::relaxed_cells(int sweeps, int further) const {
@@ -133,9 +132,11 @@ void SweptLevel::run_one_by_one(std::vector<PlaneStage> const& stages) {
   for (auto const& halo : halo_of_colour_) halo.settle();
 }
 
-void SweptLevel::run(std::vector<PlaneStage> const& stages) {
+void SweptLevel::run() {
+  std::vector<PlaneStage> stages = std::exchange(stages_, {});
   if (is_thin_) return run_one_by_one(stages);
-  wavefront(layout_, rehearsal_ ? std::vector<PlaneStage>{} : stages, [this](int plane) {
+  if (rehearsal_) stages.clear();
+  wavefront(layout_, stages, [this](int plane) {
     halo_.poll();
     if (plane + 1 >= layout_.first_halo_plane()) finish_exchanges();
   });

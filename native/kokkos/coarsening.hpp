@@ -31,8 +31,7 @@ class Coarsening {
   // Parts of the acts, and what kernels read, public because CUDA wants it to be.
   template <bool of_residual>
   void restrict_rows();
-  template <bool set>
-  void prolong_rows();
+  void prolong_rows(bool set);
   struct ParentRow {
     std::int32_t block, y, z;
   };

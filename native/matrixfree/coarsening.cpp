@@ -199,7 +199,7 @@ void Coarsening::restrict_residual() {
   Vector& target = clear_target();
   fine_.then({[&](std::size_t b, int k, RowChoice const&) {
                 if (b < sources_.size())
-                  fine_.sweep().restrict_residual(b, k, fine_.right_hand_side(), fine_.correction(), taking(b),
+                  fine_.sweep().restrict_to<true>(b, k, fine_.right_hand_side(), fine_.correction(), taking(b),
                                                   weight(), target);
               },
               both_colours, 0});
@@ -225,7 +225,7 @@ void Coarsening::restrict_right_hand_side() {
   Vector& target = clear_target();
   fine_.then({[&](std::size_t b, int k, RowChoice const&) {
     if (b < sources_.size())
-      fine_.sweep().restrict_right_hand_side(b, k, fine_.right_hand_side(), taking(b), weight(), target);
+      fine_.sweep().restrict_to<false>(b, k, fine_.right_hand_side(), fine_.correction(), taking(b), weight(), target);
   }});
   fine_.run();
   add_to_coarse_level();

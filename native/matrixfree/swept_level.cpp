@@ -67,10 +67,7 @@ void SweptLevel::relax(int sweeps, bool from_zero, int further) {
     HalfSweep const h(half, from_zero);
     auto const relax = [this, h, reach](std::size_t b, int k, RowChoice const& some) {
       RowChoice const rows = is_thin_ ? some : layout_.rows_in_reach(b, k, reach);
-      if (h.is_fresh)
-        sweep_.relax_from_zero(b, k, h.colour, rows, r_, e_);
-      else
-        sweep_.relax(b, k, h.colour, rows, r_, e_);
+      sweep_.relax(b, k, h.colour, h.is_fresh, rows, r_, e_);
     };
     then({relax, h.reads, h.changes});
   }
@@ -95,8 +92,8 @@ SweptLevel::PlaceAndDiagonal SweptLevel::place_and_diagonal(Index3 const& cell) 
     CellBlock const& block = layout_.blocks()[std::size_t(b)];
     if (std::size_t(b) >= layout_.own_blocks() || !block.box.contains(cell)) continue;
     int const i = cell[0] - block.box.lower[0], j = cell[1] - block.box.lower[1], k = cell[2] - block.box.lower[2];
-    RowStencil const& row = stencil_.block(std::size_t(b)).rows[std::size_t(j + block.box.extent(1) * k)];
-    return {std::size_t(block.place(cell)), stencil_.diagonal(row.coefficients)[i]};
+    Row const& row = stencil_.rows(std::size_t(b))[j + block.box.extent(1) * k];
+    return {std::size_t(block.place(cell)), stencil_.table().diagonal(row)[i]};
   }
   throw std::logic_error("the cell is not one of this rank's");
 }

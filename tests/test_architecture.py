@@ -228,7 +228,7 @@ LOOP_OVER_CELLS = re.compile(r"for_each_cell|for_rows|for \(\w+(::\w+)? (row|r|n
 
 
 @pytest.mark.parametrize(
-    "name", ["operators/sparse_matrix.cpp", "solver/multigrid.cpp", "solver/copy_cycle.cpp", "solver/bicgstab.cpp"]
+    "name", ["operators/sparse_matrix.cpp", "solver/multigrid.cpp", "solver/bicgstab.cpp"]
 )
 def test_a_cycle_on_compressed_rows_loops_over_no_cells_on_the_host(name):
     assert not LOOP_OVER_CELLS.search((ROOT / "native" / name).read_text())

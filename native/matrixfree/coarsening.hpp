@@ -4,6 +4,7 @@
 
 #include "base/communicator.hpp"
 #include "matrixfree/interface_cells.hpp"
+#include "matrixfree/level_acts.hpp"
 #include "matrixfree/swept_level.hpp"
 
 namespace amrpic::kokkos {
@@ -37,12 +38,13 @@ class Coarsening {
   Coarsening(Communicator const& comm, SweptLevel& fine, SweptLevel& coarse, Index3 const& ratio, Pair const& pair,
              CoarseGhosts const& ghosts);
 
-  /// Run stages over the finer level, and in the same pass leave the coarser one's right-hand side. Collective.
+  /// Bring what the finer level's residual is evaluated from, and have fits in gaps in its right-hand side. Collective.
+  void prepare_residual();
+  /// Leave the coarser right-hand side, in one pass with what the finer level put off. Collective.
   ///
   /// Parents receive the mean of the remaining residual; cells beside the finer level lose what its correction sends
   /// through the common faces.
-  void sweep_and_restrict(std::vector<PlaneStage> stages);
-
+  void restrict_residual();
   /// The same for a finer correction of zero, whose values are not read. Collective.
   void restrict_right_hand_side();
 
@@ -52,11 +54,10 @@ class Coarsening {
   void start() { interface_.start(); }
   void refresh_gaps();
 
-  /// Fetch the coarser correction, and take its part of the ghosts into the finer right-hand side; what is returned
-  /// adds it to the finer correction, or takes its place, and is to be run first. Planes that other ranks copy have it
-  /// already, and are on their way to them. Collective.
-  enum class Into { sum, place };
-  std::vector<PlaneStage> prolongation(Into into);
+  /// Fetch the coarser correction, take its part of the ghosts into the finer right-hand side, and add it to the finer
+  /// correction, or put it in its place. Planes that other ranks copy have it at once, and are on their way to them;
+  /// the rest is put off to the sweeps that follow. Collective.
+  void prolong(Into into);
 
   std::set<int> const& neighbours() const { return parents_.neighbours(); }
 

@@ -17,9 +17,9 @@ from measuring import CPU_TIME, ROOT, Record, timed, write
 from mpi4py import MPI
 
 from amrpic.particles.clouds import SHAPES, CompensationKind, Shape
-from amrpic.run.plan import Plan
-from amrpic.run.state import State
-from amrpic.run.step import advance, begin
+from amrpic.pic.plan import Plan
+from amrpic.pic.state import State
+from amrpic.pic.step import advance, begin
 from amrpic.scene.scene import Scene
 
 KINDS: tuple[CompensationKind, ...] = get_args(CompensationKind)

@@ -19,10 +19,10 @@ from mpi4py import MPI
 import amrpic
 from amrpic import _native
 from amrpic.particles.particles import concatenate
-from amrpic.run.adapt import follow, make_base
-from amrpic.run.initial_particles import make_bunches
-from amrpic.run.particle_fields import ParticleFields
-from amrpic.run.plan import Plan
+from amrpic.pic.adapt import follow, make_base
+from amrpic.pic.initial_particles import make_bunches
+from amrpic.pic.particle_fields import ParticleFields
+from amrpic.pic.plan import Plan
 from amrpic.stages.migrate import migrate
 
 EXAMPLES = Path(__file__).parents[1] / "examples"

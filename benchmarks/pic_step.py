@@ -20,8 +20,8 @@ from statistics import median
 from measuring import BACKEND, BACKENDS, Record, slowest, timed, work_unit, write
 from mpi4py import MPI
 
-from amrpic.run.plan import Plan
-from amrpic.run.step import advance, begin
+from amrpic.pic.plan import Plan
+from amrpic.pic.step import advance, begin
 from amrpic.scene.scene import Scene
 
 HERE = Path(__file__).parent

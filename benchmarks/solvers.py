@@ -25,8 +25,8 @@ from mpi4py import MPI
 
 import amrpic
 from amrpic.errors import SolverError
-from amrpic.run.plan import Plan
-from amrpic.run.step import begin
+from amrpic.pic.plan import Plan
+from amrpic.pic.step import begin
 from amrpic.scene import solver_options
 from amrpic.stages.poisson import BaseSetup, PoissonSolver
 

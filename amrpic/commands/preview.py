@@ -20,18 +20,18 @@ from ..mesh.field import Field
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.window import Window
 from ..particles.particles import Particles, concatenate
+from ..pic.adapt import follow, make_base
+from ..pic.course import Course
+from ..pic.forecast import forecast
+from ..pic.initial_particles import make_bunches, start_of
+from ..pic.limits import machine_memory
+from ..pic.memory import MIB, run_memory
+from ..pic.particle_fields import ParticleFields
+from ..pic.plan import Plan
+from ..pic.restart import about, writers_of
+from ..pic.time_step import settle_time_step
 from ..progress import progress
-from ..run.adapt import follow, make_base
-from ..run.course import Course
 from ..run.folder import prepare
-from ..run.forecast import forecast
-from ..run.initial_particles import make_bunches, start_of
-from ..run.limits import machine_memory
-from ..run.memory import MIB, run_memory
-from ..run.particle_fields import ParticleFields
-from ..run.plan import Plan
-from ..run.restart import about, writers_of
-from ..run.time_step import settle_time_step
 from ..scene.motion import Leapfrog, RandomWalk
 from ..scene.refinement_rules import (
     CallableRule,

@@ -19,8 +19,8 @@ from ..failure import Meeting, sentence
 from ..mesh.boxes import cells_of
 from ..mesh.hierarchy import Hierarchy
 from ..parallel import own, together
+from ..pic.simulation import Simulation
 from ..run.clock import Spent
-from ..run.simulation import Simulation
 from ..scene.scene import Scene
 from .measured import WAITING, WALLS, Run, Stage
 

@@ -14,9 +14,9 @@ from ..mesh.field import Field
 from ..particles.clouds import Clouds, Shape
 from ..particles.particles import Particles
 from ..particles.species import Species, SpeciesTable
-from ..run.plan import Plan
-from ..run.state import State
-from ..run.step import advance, begin
+from ..pic.plan import Plan
+from ..pic.state import State
+from ..pic.step import advance, begin
 from ..stages.deposit import deposit
 from ..stages.diagnostics import Moments, field_energy, moments, potential_energy
 from ..stages.migrate import migrate

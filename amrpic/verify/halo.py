@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
-from ..run.plan import Plan
-from ..run.state import State
-from ..run.step import advance, begin
+from ..pic.plan import Plan
+from ..pic.state import State
+from ..pic.step import advance, begin
 from .channel import DEPRESSION, FOCUSING, LENGTH, OMEGA, PERIOD, RADIUS, Envelope, constant, matched, slab
 from .chosen import scene_of
 from .draw import picture

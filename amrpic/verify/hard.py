@@ -11,9 +11,9 @@ from mpi4py import MPI
 from ..mesh.domain import Domain
 from ..mesh.field import Field
 from ..mesh.hierarchy import Hierarchy
-from ..run.plan import Plan
-from ..run.simulation import Simulation
-from ..run.step import advance, begin
+from ..pic.plan import Plan
+from ..pic.simulation import Simulation
+from ..pic.step import advance, begin
 from ..stages.poisson import SolveReport
 from .chosen import scene_of, solver_of
 from .errors import errors

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from ..run.beam_tables import groups_of
-from ..run.plan import Plan
-from ..run.state import State
-from ..run.step import advance, begin
+from ..pic.beam_tables import groups_of
+from ..pic.plan import Plan
+from ..pic.state import State
+from ..pic.step import advance, begin
 from ..stages.beam_diagnostics import FRACTIONS, group_moments, group_quantiles
 from .channel import DEPRESSION, FOCUSING, PERIOD, RADIUS, constant, matched, slab, thermal
 from .chosen import in_full, scene_of

@@ -17,10 +17,10 @@ from ..mesh.boxes import scaled_cells
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..particles.particles import concatenate
-from ..run.adapt import follow, make_base
-from ..run.initial_particles import make_bunches
-from ..run.particle_fields import ParticleFields
-from ..run.plan import Plan
+from ..pic.adapt import follow, make_base
+from ..pic.initial_particles import make_bunches
+from ..pic.particle_fields import ParticleFields
+from ..pic.plan import Plan
 from ..scene.motion import NoMotion
 from ..scene.refinement_rules import StaticRule, every_rule
 from ..scene.scene import Scene

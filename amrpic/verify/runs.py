@@ -9,9 +9,9 @@ import numpy as np
 from mpi4py import MPI
 
 from ..particles.particles import Particles
-from ..run.plan import Plan
-from ..run.state import State
-from ..run.step import advance, begin
+from ..pic.plan import Plan
+from ..pic.state import State
+from ..pic.step import advance, begin
 from .chosen import scene_of
 
 

@@ -12,8 +12,8 @@ from ..mesh.hierarchy import Hierarchy
 from ..particles.clouds import Clouds
 from ..particles.particles import Particles
 from ..particles.species import Species, SpeciesTable
-from ..run.plan import Plan
-from ..run.step import advance, begin
+from ..pic.plan import Plan
+from ..pic.step import advance, begin
 from ..stages.deposit import deposit
 from ..stages.diagnostics import moments
 from ..stages.gather import compensate, gather

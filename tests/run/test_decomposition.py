@@ -13,8 +13,8 @@ import pytest
 from mpi4py import MPI
 
 from amrpic import Scene
-from amrpic.run.plan import Plan
-from amrpic.run.step import advance, begin
+from amrpic.pic.plan import Plan
+from amrpic.pic.step import advance, begin
 from regions import blocks_of
 
 SCENE = Path(__file__).parents[2] / "examples" / "ten_bunches.toml"

@@ -12,7 +12,7 @@ from mpi4py import MPI
 import amrpic
 from amrpic.io.field_reader import open_dump
 from amrpic.mesh.field import Field, VectorField
-from amrpic.run.state import State
+from amrpic.pic.state import State
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE, SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
 
 MC = ELECTRON_MASS * SPEED_OF_LIGHT

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from amrpic.particles.clouds import matched_pays
-from amrpic.run.simulation import Simulation
+from amrpic.pic.simulation import Simulation
 from amrpic.scene.scene import Scene
 
 CELL = 1 / 16  # m, of the finest level

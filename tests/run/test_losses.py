@@ -16,7 +16,7 @@ from amrpic import Scene, Simulation
 from amrpic.errors import SceneError
 from amrpic.io import checkpoint_writer, time_series
 from amrpic.io.checkpoint_writer import Snapshot
-from amrpic.run.restart import COLUMNS, snapshot
+from amrpic.pic.restart import COLUMNS, snapshot
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE, SPEED_OF_LIGHT
 
 MC = ELECTRON_MASS * SPEED_OF_LIGHT

@@ -14,13 +14,13 @@ import pytest
 from mpi4py import MPI
 
 from amrpic import Scene
-from amrpic.run.adapt import make_base
-from amrpic.run.course import Course
-from amrpic.run.flight import place
-from amrpic.run.initial_particles import make_bunches
-from amrpic.run.plan import Plan
-from amrpic.run.state import State
-from amrpic.run.step import advance, begin
+from amrpic.pic.adapt import make_base
+from amrpic.pic.course import Course
+from amrpic.pic.flight import place
+from amrpic.pic.initial_particles import make_bunches
+from amrpic.pic.plan import Plan
+from amrpic.pic.state import State
+from amrpic.pic.step import advance, begin
 from amrpic.stages.migrate import BRICK_COST
 
 MANY = 2_000_000

@@ -12,9 +12,9 @@ from amrpic.commands.arguments import scene_on_all_ranks
 from amrpic.errors import SceneError
 from amrpic.io import field_maps
 from amrpic.parallel import from_rank_0
-from amrpic.run import limits
-from amrpic.run.memory import DRAWING, Share, base_boxes, rank_memory, run_memory
-from amrpic.run.plan import Plan
+from amrpic.pic import limits
+from amrpic.pic.memory import DRAWING, Share, base_boxes, rank_memory, run_memory
+from amrpic.pic.plan import Plan
 
 PIC = {
     "domain": {"lower": -1, "upper": 1, "cells": 32},

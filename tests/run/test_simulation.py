@@ -14,8 +14,8 @@ import pytest
 from amrpic.io import openpmd_reader, time_series
 from amrpic.io import openpmd_writer as dumps
 from amrpic.parallel import Traffic, own, share
+from amrpic.pic.simulation import Simulation
 from amrpic.run.clock import Clock
-from amrpic.run.simulation import Simulation
 from amrpic.scene import scene as model
 from amrpic.stages.diagnostics import moments
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE, VACUUM_PERMITTIVITY

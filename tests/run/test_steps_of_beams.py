@@ -10,9 +10,9 @@ import pytest
 from mpi4py import MPI
 
 import amrpic
-from amrpic.run import time_step
-from amrpic.run.plan import Plan
-from amrpic.run.step import begin
+from amrpic.pic import time_step
+from amrpic.pic.plan import Plan
+from amrpic.pic.step import begin
 from amrpic.units import (
     ELECTRON_MASS,
     ELEMENTARY_CHARGE,

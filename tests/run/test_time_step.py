@@ -12,9 +12,9 @@ from mpi4py import MPI
 
 import amrpic
 from amrpic.errors import InputError, SceneError
-from amrpic.run import time_step
-from amrpic.run.plan import Plan
-from amrpic.run.step import advance, begin
+from amrpic.pic import time_step
+from amrpic.pic.plan import Plan
+from amrpic.pic.step import advance, begin
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE, PROTON_MASS, SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
 from amrpic.verify.passages import HARD, SMOOTH, TIME, error_of, flown, order, passage, through_hard, through_smooth
 from amrpic.verify.runs import collected, states

@@ -18,11 +18,11 @@ from amrpic.errors import InputError
 from amrpic.mesh.field import Field
 from amrpic.mesh.hierarchy import Hierarchy
 from amrpic.parallel import Traffic, VirtualRank, own, traffic
-from amrpic.run.adapt import follow, make_base
-from amrpic.run.initial_particles import make_particles
-from amrpic.run.particle_fields import ParticleFields
-from amrpic.run.plan import Plan as RunPlan
-from amrpic.run.simulation import Simulation
+from amrpic.pic.adapt import follow, make_base
+from amrpic.pic.initial_particles import make_particles
+from amrpic.pic.particle_fields import ParticleFields
+from amrpic.pic.plan import Plan as RunPlan
+from amrpic.pic.simulation import Simulation
 from amrpic.scaling.bricks import Exchange, bricks_of, exchange, served
 from amrpic.scaling.densities import Cloud, Edges, clouds_of, planned_mesh
 from amrpic.scaling.machine import FOLDER, Machine, Network, Work

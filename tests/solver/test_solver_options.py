@@ -225,7 +225,7 @@ def test_options_may_be_numbers_of_numpy():
 
 
 def test_a_scene_hands_every_choice_to_the_solver():
-    from amrpic.run.plan import Plan
+    from amrpic.pic.plan import Plan
 
     chosen: dict[str, Any] = {
         "backend": "crs",

@@ -17,8 +17,8 @@ from amrpic.errors import ParticleError
 from amrpic.particles.clouds import PLAIN, SHAPES, Clouds
 from amrpic.particles.particles import Particles
 from amrpic.particles.species import Species, SpeciesTable
-from amrpic.run.plan import Plan
-from amrpic.run.step import advance, begin
+from amrpic.pic.plan import Plan
+from amrpic.pic.step import advance, begin
 from amrpic.scene.scene import Scene
 from amrpic.stages.deposit import deposit
 from amrpic.stages.gather import compensate, gather

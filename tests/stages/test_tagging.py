@@ -19,12 +19,12 @@ from amrpic.errors import InputError, SceneError
 from amrpic.mesh.domain import Domain
 from amrpic.mesh.field import Field
 from amrpic.mesh.hierarchy import Hierarchy
-from amrpic.run.adapt import follow, make_base
-from amrpic.run.initial_particles import make_particles
-from amrpic.run.particle_fields import ParticleFields
-from amrpic.run.plan import Plan
-from amrpic.run.simulation import Simulation
-from amrpic.run.tagging_rules import apart, index_boxes, tags_of
+from amrpic.pic.adapt import follow, make_base
+from amrpic.pic.initial_particles import make_particles
+from amrpic.pic.particle_fields import ParticleFields
+from amrpic.pic.plan import Plan
+from amrpic.pic.simulation import Simulation
+from amrpic.pic.tagging_rules import apart, index_boxes, tags_of
 from amrpic.scene.refinement_rules import ARGUMENTS
 from amrpic.scene.scene import Scene
 from amrpic.stages.migrate import migrate

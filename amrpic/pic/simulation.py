@@ -20,23 +20,23 @@ from ..mesh.window import Window
 from ..parallel import together, world_by_default
 from ..particles.particles import Particles
 from ..results.run_results import Results
+from ..run.clock import Clock
+from ..run.folder import STOP, claimed
+from ..run.log import Log
+from ..run.stop import Stop
 from ..scene.scene import Scene
 from ..stages.poisson import SolveReport
 from ..units import quantity
 from .beam_tables import Diagnostic
-from .clock import Clock
 from .course import Reference
 from .field_functions import FieldFunction
 from .flight import kicked
-from .folder import STOP, claimed
-from .log import Log
 from .output import Recorder
 from .plan import Plan
 from .records import Record
 from .restart import about, load, snapshot, writers_of
 from .state import State
 from .step import advance, begin, with_momenta
-from .stop import Stop
 
 
 class Simulation:

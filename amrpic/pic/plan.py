@@ -22,6 +22,7 @@ from ..particles.energy_bins import ONE_FRAME, Frames, frames_of
 from ..particles.frame import LABORATORY, STATIC, Frame
 from ..particles.motion_of_charge import charges
 from ..particles.particles import Particles
+from ..run.clock import Clock
 from ..scene.elements import MapElement
 from ..scene.motion import Leapfrog
 from ..scene.scene import Scene
@@ -29,7 +30,6 @@ from ..stages.diagnostics import moments
 from ..stages.encounters import native_aperture
 from ..stages.gather import compensate
 from ..stages.poisson import PoissonSolver, SolveReport
-from .clock import Clock
 from .field_functions import FieldFunction, FieldFunctions
 from .images import mirrored
 

@@ -8,10 +8,10 @@ from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.window import Window
 from ..particles.particles import Particles
+from ..run.clock import Spent
 from ..stages.beam_diagnostics import Beam
 from ..stages.diagnostics import Moments, moments
 from ..stages.poisson import SolveReport
-from .clock import Spent
 from .course import Course
 from .leapfrog import Staggered
 from .records import Record

@@ -12,10 +12,10 @@ from ..errors import InputError
 from ..mesh.domain import Domain
 from ..mesh.window import part_of
 from ..particles.particles import Particles
+from ..run.clock import Spent
 from ..scene.motion import Leapfrog, RandomWalk
 from ..stages.push import random_walk
 from .adapt import follow, make_base, outrun
-from .clock import Spent
 from .course import Course
 from .flight import fly, place
 from .image_forces import frames_with_images

@@ -19,6 +19,9 @@ from ..mesh.field import Field, VectorField
 from ..parallel import together
 from ..particles.frame import LABORATORY
 from ..results.run_results import SERIES
+from ..run.folder import set_aside
+from ..run.log import Log, RunLog
+from ..run.status import Status
 from ..stages.diagnostics import measure, quantities
 from ..units import Quantity, quantity
 from ..view.draw import drawn
@@ -26,13 +29,10 @@ from ..view.views import OVERVIEW
 from .beam_tables import BeamTables, Diagnostic
 from .fills import Fills
 from .flight import kicked
-from .folder import set_aside
-from .log import Log, RunLog
 from .loss_files import write_losses, write_screens
 from .plan import Plan
 from .restart import about, snapshot, writers_of
 from .state import State
-from .status import Status
 
 RESIDUALS = "residuals.csv"
 HISTORY = (  # of the solves: a row for each guess and each cycle

@@ -7,7 +7,7 @@ are those of the middle of a kick, where positions, field and momenta are of one
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,68 +16,67 @@ from ..particles.arrays import empty_columns
 from ..particles.clouds import Clouds
 from ..particles.frame import LABORATORY
 from ..particles.particles import Particles
-from ..scene.motion import Leapfrog
 from ..stages.gather import gather
 from ..stages.push import push
 from ..units import SPEED_OF_LIGHT
 from .course import Course
-from .plan import Plan
+from .setup import Setup
 from .solution import Solution
+from .staggered import Staggered
+from .state import State
 
 
-@dataclass(frozen=True, eq=False)
-class Staggered:
-    """Where leapfrog takes the particles of a state next, and by how much their momenta lag positions.
-
-    Momenta of the particles lag the state's time by `lag` (0 or Δt/2), those of `moved` lead it by Δt/2. Without a magnetic
-    field, elements or fields from Python those of the state's time are the mean of both; with them they are kept, as `between`.
-    """
-
-    moved: Particles  # after the kick by `lag` + Δt/2 and a drift by Δt; not sorted; from the origin of the next window
-    course: Course  # then
-    lag: float  # s
-    flight: float  # s, of that drift: Δt, and Δt/2 without a kick at the start of drift, kick, drift
-    between: np.ndarray | None = None  # (n, 3) kg m/s
-
-    def synchronized(self, particles: Particles) -> Particles:
-        """Return the particles of the state with momenta of the time of their positions, to rounding."""
-        if self.lag == 0:
-            return particles
-        if self.between is not None:
-            return particles.replace(momentum=self.between)
-        lagging, out = particles.momentum, empty_columns(len(particles))
-        np.subtract(self.moved.momentum, lagging, out=out)
-        out *= 0.5
-        out += lagging
-        return particles.replace(momentum=out)
-
-
-def kick_and_drift(
-    solution: Solution, particles: Particles, lag: float, step: int, time: float, course: Course, plan: Plan
+def gather_and_push(
+    solution: Solution, particles: Particles, lag: float, step: int, time: float, course: Course, setup: Setup
 ) -> Staggered:
-    """Return where particles go whose momenta lag positions by `lag` s, at `time` s before `step` + 1. Collective."""
-    by_e_alone = solution.frames.only == LABORATORY and not plan.scene.elements and not plan.fields
-    between = None if by_e_alone else empty_columns(len(particles))
-    motion = plan.scene.motion
-    assert isinstance(motion, Leapfrog)
+    """Return where particles go whose momenta lag positions by `lag` s, at `time` s before `step` + 1. Collective.
+
+    The field is read at each particle, which is kicked and drifts in the same pass. Where motion follows no field there is
+    nothing to do.
+    """
+    motion, fields = setup.scene.motion, setup.fields
+    if not motion.follows_fields:
+        return Staggered(particles, particles, course)
     drifts_first = motion.form == "drift-kick-drift" and step == 0
-    after, flight = (0.0, plan.dt / 2) if drifts_first else (plan.dt / 2, plan.dt)
-    then = course.after(flight, time, plan.external, plan.pusher(solution.frames))
-    external = plan.external.seen_from(course.window).native if plan.scene.elements else None
-    given = plan.fields.at(particles, time, course.window) if plan.fields else None
-    shift = course.window.shift_to(then.window)
-    moved = _push(solution, particles, lag, after, flight, plan, between, external, given, time, shift)
-    return Staggered(moved, then, lag, flight, between)
+    after, flight = (0.0, setup.dt / 2) if drifts_first else (setup.dt / 2, setup.dt)
+    then = course.after(flight, time, setup.external, _pusher(solution, setup))
+    with setup.clock("push"):
+        by_e_alone = solution.frames.only == LABORATORY and not setup.scene.elements and not fields
+        between = None if by_e_alone else empty_columns(len(particles))
+        external = setup.external.seen_from(course.window).native if setup.scene.elements else None
+        of_fields = fields.at(particles, time, course.window) if fields else None
+        shift = course.window.shift_to(then.window)
+        moved = _push(solution, particles, lag, after, flight, setup, between, external, of_fields, time, shift)
+    return Staggered(particles, moved, then, lag, flight, between)
 
 
-def kick(solution: Solution, particles: Particles, staggered: Staggered, plan: Plan) -> Particles:
-    """Return the particles with momenta of the time of their positions. Collective.
+def kick(solution: Solution, particles: Particles, staggered: Staggered, setup: Setup) -> Particles:
+    """Return particles of a state, all or some, with momenta of the time of their positions. Collective.
 
     In all digits those on the way to `moved`; `Staggered.synchronized` has them to rounding, without a pass over the field.
     """
+    return particles.replace(momentum=_push(solution, particles, staggered.lag, 0.0, 0.0, setup).momentum)
+
+
+def synchronized(state: State, setup: Setup) -> State:
+    """Return the state whose `synchronized` particles have the momenta of its own time in all digits. Collective."""
+    staggered = state.staggered
+    if staggered.lag == 0 or staggered.between is not None:
+        return state
+    particles = kick(state.solution, state.particles, staggered, setup)
+    return replace(state, staggered=replace(staggered, particles=particles, lag=0.0))
+
+
+def momenta_of(state: State, chosen: np.ndarray, setup: Setup) -> np.ndarray:
+    """Return the momenta (m, 3) of some particles, ascending, as `synchronized` has them for all. Collective."""
+    staggered, few = state.staggered, state.particles.select(chosen)
+    if staggered.lag == 0:
+        return few.momentum
     if staggered.between is not None:
-        return particles.replace(momentum=staggered.between)
-    return particles.replace(momentum=_push(solution, particles, staggered.lag, 0.0, 0.0, plan).momentum)
+        return staggered.between[chosen]
+    sorting = state.particles.sorted_on(state.hierarchy)
+    few = replace(few, sorting=replace(sorting, starts=np.searchsorted(chosen, sorting.starts)))
+    return kick(state.solution, few, staggered, setup).momentum
 
 
 def felt(solution: Solution, particles: Particles, clouds: Clouds) -> tuple[np.ndarray, np.ndarray]:
@@ -101,20 +100,20 @@ def _push(
     before: float,
     after: float,
     dt: float,
-    plan: Plan,
+    setup: Setup,
     between: np.ndarray | None = None,
     external: _native.ExternalFields | None = None,
-    given: tuple[np.ndarray, np.ndarray] | None = None,
+    of_fields: tuple[np.ndarray, np.ndarray] | None = None,
     time: float = 0.0,
     shift: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Particles:
-    electric, magnetic = given if given is not None else (None, None)
+    electric, magnetic = of_fields if of_fields is not None else (None, None)
     if solution.walls is not None:
-        electric = _sum(electric, gather(solution.walls[1], particles, plan.clouds))
+        electric = _sum(electric, gather(solution.walls[1], particles, setup.clouds))
     if solution.magnetic is not None:
-        magnetic = _sum(magnetic, gather(solution.magnetic, particles, plan.clouds))
+        magnetic = _sum(magnetic, gather(solution.magnetic, particles, setup.clouds))
     if solution.images is not None:
-        of_images = felt(solution.images, particles, plan.clouds)
+        of_images = felt(solution.images, particles, setup.clouds)
         electric = _sum(electric, of_images[0])
         if solution.images.frames.only != LABORATORY:
             magnetic = _sum(magnetic, of_images[1])
@@ -124,8 +123,8 @@ def _push(
         before,
         after,
         dt,
-        plan.clouds,
-        pusher=plan.pusher(solution.frames),
+        setup.clouds,
+        pusher=_pusher(solution, setup),
         beta=solution.beta,
         electric=electric,
         magnetic=magnetic,
@@ -138,3 +137,16 @@ def _push(
 
 def _sum(one: np.ndarray | None, other: np.ndarray) -> np.ndarray:
     return other if one is None else one + other
+
+
+def _pusher(solution: Solution, setup: Setup) -> str:
+    """Return how magnetic fields turn momenta of particles with this self-field.
+
+    Boris's angle counts what E alone would change: of a beam's own E and B, which cancel up to 1/γ² of either, it leaves
+    more than that.
+    """
+    pusher = setup.scene.motion.pusher
+    if pusher == "boris" and solution.frames.only != LABORATORY:
+        setup.remarks.note("motion.pusher: higuera-cary while the particles have a magnetic field of their own")
+        return "higuera-cary"
+    return pusher

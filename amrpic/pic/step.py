@@ -8,149 +8,78 @@ from dataclasses import replace
 import numpy as np
 from mpi4py import MPI
 
-from ..errors import InputError
-from ..mesh.domain import Domain
-from ..mesh.window import part_of
-from ..particles.particles import Particles
+from ..mesh.hierarchy import Hierarchy
 from ..run.clock import Spent
-from ..scene.motion import Leapfrog, RandomWalk
-from ..stages.push import random_walk
-from .adapt import follow, make_base, outrun
+from ..scene.scene import Scene
+from .adapt import follow, make_base, regrid_if_due
 from .course import Course
-from .flight import fly, place
-from .image_forces import frames_with_images
-from .initial_particles import make_bunches, start_of
-from .leapfrog import kick_and_drift
-from .particle_fields import ParticleFields
-from .plan import Plan
-from .records import Record
-from .solution import Solution
+from .field_functions import FieldFunction
+from .flight import Arrived, migrate, place
+from .frames import first_frames, next_frames
+from .initial_particles import make_bunches, outside, require_some_inside, start_of
+from .leapfrog import gather_and_push
+from .meshed import MeshedParticles, deposit
+from .setup import Setup, resolved, set_up
+from .solve import solve
 from .state import State
-from .time_step import check_time_step, settle_time_step
+from .time_step import check_time_step, with_time_step
 
 
-def advance(state: State, plan: Plan) -> State:
+def advance(state: State, setup: Setup) -> State:
     """Return the state one step later. Collective; SolverError if the solve does not converge."""
-    step, now = state.step + 1, state.time + state.flight
-    course = state.course if state.staggered is None else state.staggered.course
-    with plan.clock("push"):
-        moved = _moved(state, plan)
-    with plan.clock("migrate"):
-        particles, deposition, lost, screens = fly(state, moved, course.window, plan)
-    turn = state.window.turn_to(course.window)
-    behind = None if turn is None else part_of(turn.T, plan.dt / 2 / state.flight)  # momenta are, of the latest turn
-    frames = plan.frames(particles, frames_with_images(state, plan), lost.particles, behind, course.window)
-    fields = ParticleFields(particles, state.hierarchy, plan, state.solution, frames, deposition)
-    if plan.scene.refinement.regrids_at(step) or outrun(fields):
-        fields = follow(fields, plan.scene.refinement.hysteresis)
-    check_time_step(fields, step)
+    step, time, course = state.step + 1, state.time + state.staggered.flight, state.staggered.course
+    with setup.clock("push"):
+        moved = setup.move(state)
+    with setup.clock("migrate"):
+        arrived = migrate(state, moved, setup)
+    frames = next_frames(state, arrived.particles, arrived.lost.particles, setup)
+    beam = MeshedParticles(arrived.particles, state.hierarchy, frames, arrived.deposition)
+    beam = regrid_if_due(beam, state, setup)
+    rho = deposit(beam, setup)
+    solution = solve(beam, rho, state.solution, setup)
+    check_time_step(beam, solution, step, setup)
+    staggered = gather_and_push(solution, beam.particles, setup.dt / 2, step, time, course, setup)
     # Boxes may be cut anew without another cell, as after a restart on other ranks.
-    regridded = fields.hierarchy is not state.hierarchy and not fields.hierarchy.same_cells(state.hierarchy)
-    return state_of(plan, fields.particles, fields.solution, lost, screens, course, step, now, plan.dt / 2, regridded)
+    regridded = beam.hierarchy is not state.hierarchy and not beam.hierarchy.same_cells(state.hierarchy)
+    return State(staggered, solution, arrived.lost, arrived.screens, course, step, time, regridded, setup.clock.take())
 
 
-def begin(plan: Plan) -> State:
-    """Return the state before the first step: particles made, mesh refined to fit them, field solved. Collective."""
-    base, course = make_base(plan), Course.of_scene(plan.scene)
-    with plan.clock("beam"):
-        bunches = [bunch.seen_from(course.window) for bunch in make_bunches(plan.comm, plan.scene)]
-        plan.settle_clouds(bunches)
-        made = plan.comm.allreduce(sum(map(len, bunches)))
-        for sentence in _require_mostly_inside(plan.comm, bunches, base.domain):
-            plan.remark(sentence)
-        start, notes = start_of(plan.comm, plan.scene)
-        for sentence in notes:
-            plan.note(sentence)
-        particles, lost, screens = place(bunches, base, course.window, plan, start)
-    _require_some_inside(plan.comm, particles, made)
-    fields = follow(ParticleFields(particles, base, plan))
-    settle_time_step(fields, course)
-    return state_of(plan, fields.particles, fields.solution, lost, screens, course, 0, start)
+def begin(comm: MPI.Comm, scene: Scene, fields: Sequence[FieldFunction] = ()) -> tuple[State, Setup]:
+    """Return the state before the first step, and the set-up of steps. Collective; InputError, SolverError on all ranks."""
+    setup, course = set_up(comm, scene, fields), Course.of_scene(scene)
+    base = make_base(setup.comm, scene)
+    with setup.clock("beam"):
+        arrived, start, setup = _made(base, course, setup)
+    beam = MeshedParticles(arrived.particles, base, first_frames(arrived.particles, setup))
+    beam = follow(beam, None, setup)
+    rho = deposit(beam, setup)
+    solution = solve(beam, rho, None, setup)
+    setup = with_time_step(setup, beam, solution, course)
+    staggered = gather_and_push(solution, beam.particles, 0.0, 0, start, course, setup)
+    spent = setup.clock.take()
+    return State(staggered, solution, arrived.lost, arrived.screens, course, 0, start, spent=spent), setup
 
 
-def state_of(
-    plan: Plan,
-    particles: Particles,
-    solution: Solution,
-    lost: Record,
-    screens: Record,
-    course: Course,
-    step: int,
-    time: float,
-    lag: float = 0.0,
-    regridded: bool = False,
-) -> State:
-    """Return the state of particles and the field that was solved for them. Collective.
-
-    Under leapfrog their momenta lag positions by `lag` s, and the state holds where they go next.
+def _made(base: Hierarchy, course: Course, setup: Setup) -> tuple[Arrived, float, Setup]:
+    """Return the particles of a scene in their places on its base level, their time (s), and the set-up with clouds for them.
+    Collective; InputError on all ranks.
     """
-    staggered = None
-    if isinstance(plan.scene.motion, Leapfrog):
-        with plan.clock("gather"):
-            staggered = kick_and_drift(solution, particles, lag, step, time, course, plan)
-    return State(particles, staggered, solution, lost, screens, course, step, time, regridded, plan.clock.take())
+    bunches = [bunch.seen_from(course.window) for bunch in make_bunches(setup.comm, setup.scene)]
+    setup = resolved(setup, bunches)
+    count = setup.comm.allreduce(sum(map(len, bunches)))
+    for sentence in outside(setup.comm, bunches, base.domain):
+        setup.remarks.remark(sentence)
+    start, notes = start_of(setup.comm, setup.scene)
+    for sentence in notes:
+        setup.remarks.note(sentence)
+    arrived = place(bunches, base, course.window, start, setup)
+    require_some_inside(setup.comm, arrived.particles, count)
+    return arrived, start, setup
 
 
-def with_momenta(state: State, momentum: np.ndarray, plan: Plan) -> State:
+def with_momenta(state: State, momentum: np.ndarray, setup: Setup) -> State:
     """Return the state with particles of other momenta (n, 3) in kg m/s, at its own time. Collective."""
     particles = state.particles.replace(momentum=momentum)
-    if state.staggered is None:
-        return replace(state, particles=particles)
-    out = state_of(
-        plan,
-        particles,
-        state.solution,
-        state.lost,
-        state.screens,
-        state.course,
-        state.step,
-        state.time,
-        regridded=state.regridded,
-    )
-    spent = {stage: state.spent.get(stage, Spent()) + more for stage, more in out.spent.items()}
-    return replace(out, spent={**state.spent, **spent})
-
-
-def _moved(state: State, plan: Plan) -> Particles:
-    """Return the particles at their next places, not yet sorted there."""
-    if state.staggered is not None:
-        moved, turn = state.staggered.moved, state.window.turn_to(state.staggered.course.window)
-        return moved if turn is None else moved.turned(turn)
-    motion = plan.scene.motion
-    if isinstance(motion, RandomWalk):
-        return random_walk(state.particles, motion.amplitude, plan.scene.seed, state.step + 1)
-    return state.particles
-
-
-def _require_mostly_inside(comm: MPI.Comm, bunches: Sequence[Particles], domain: Domain) -> list[str]:
-    """Return a sentence for each bunch of which particles are outside. Collective.
-
-    Raises InputError on all ranks if more than half of a bunch, but not all of all, are.
-    """
-    walls = ~np.array(domain.periodic)
-    lower, upper = np.array(domain.lower)[walls], np.array(domain.upper)[walls]
-    counts = [
-        (len(one), int(((one.position[:, walls] < lower) | (one.position[:, walls] > upper)).any(axis=1).sum()))
-        for one in bunches
-    ]
-    of_all = comm.allreduce(np.array(counts, dtype=np.int64).reshape(-1, 2))
-    worst = int(np.argmax(2 * of_all[:, 1] - of_all[:, 0]))
-    made, outside = of_all[worst].tolist()
-    if 2 * outside > made and of_all[:, 1].sum() < of_all[:, 0].sum():
-        raise InputError(
-            f"{outside} of {made} particles of bunch {worst} of {len(bunches) - 1} lie outside the domain; "
-            "move the bunch (one from a file by its shift), make it smaller, or enlarge the domain"
-        )
-    return [
-        f"{outside} of {made} particles of bunch {number} of {len(bunches) - 1} lie outside the domain at the start: lost"
-        for number, (made, outside) in enumerate(of_all.tolist())
-        if 0 < outside < made
-    ]
-
-
-def _require_some_inside(comm: MPI.Comm, inside: Particles, made: int) -> None:
-    if made > 0 and inside.global_count(comm) == 0:
-        raise InputError(
-            f"all {made} particles of the scene lie outside the domain; move the bunches (those from files by "
-            "their shift) or enlarge it"
-        )
+    staggered = gather_and_push(state.solution, particles, 0.0, state.step, state.time, state.course, setup)
+    spent = {stage: state.spent.get(stage, Spent()) + more for stage, more in setup.clock.take().items()}
+    return replace(state, staggered=staggered, spent={**state.spent, **spent})

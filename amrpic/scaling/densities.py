@@ -16,7 +16,7 @@ from ..errors import InputError
 from ..mesh.boxes import cells_of
 from ..mesh.hierarchy import Hierarchy
 from ..particles.sampling import draw
-from ..pic.particle_fields import ParticleFields
+from ..pic.quantities import Quantities
 from ..pic.tagging_rules import apart, index_boxes, tags_of
 from ..scene.bunch_shapes import GaussianBunch
 from ..scene.bunches import Bunch, LatticeBunch, Train
@@ -114,7 +114,7 @@ def _counted(points: np.ndarray) -> Callable[[Edges], np.ndarray]:
 class Densities:
     """Cell values of clouds on a hierarchy of one rank, made box by box where there are any.
 
-    `rho` and `particles_per_cell` stand for those of `pic.particle_fields` in the rules: their arrays hold the cells of `boxes`
+    `rho` and `particles_per_cell` stand for those of `pic.quantities` in the rules: their arrays hold the cells of `boxes`
     alone, one after the other; all others hold nothing.
     """
 
@@ -150,6 +150,10 @@ class Densities:
             out[at : at + values.size] = values
             at += values.size
         return out
+
+    def __getitem__(self, name: str) -> _Values:
+        values: _Values = getattr(self, name)
+        return values
 
     @cached_property
     def rho(self) -> _Values:
@@ -199,7 +203,7 @@ def planned_mesh(scene: Scene, clouds: Sequence[Cloud]) -> tuple[Hierarchy, list
         tags: Tags = []
         if rule is not None:
             densities = Densities(clouds, mesh)
-            tags = densities.spread(tags_of(rule, cast(ParticleFields, densities)))
+            tags = densities.spread(tags_of(rule, cast(Quantities, densities)))
         made = regrid(mesh, tags, settings, index_boxes(static, mesh.domain))
         if made is mesh:
             break

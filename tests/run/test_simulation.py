@@ -124,7 +124,6 @@ def test_momenta_are_those_of_the_time_of_positions_whenever_somebody_looks(comm
     seen, undisturbed = [], run(comm, given)
 
     def look(now: Simulation) -> None:
-        assert now.state.staggered is not None
         whole_kick = now.state.staggered.moved.momentum - now.state.particles.momentum
         early, synchronized = now.state.particles.momentum, now.particles.momentum
         kick = np.abs(whole_kick).max(initial=0)

@@ -82,6 +82,7 @@ ORDER = (
     "view",
     "results",
     "run",
+    "pic",
     "mpm",
     "__init__",
     "scaling",
@@ -303,9 +304,9 @@ def test_forbidden_lines_are_found():
     assert forbidden_imports(stage, "def f():\n    from amrpic.stages.migrate import x") == {"stages.migrate"}
     assert forbidden_imports(field, "from .. import _native, stages") == {"stages.__init__"}
     assert forbidden_imports(field, "from ..stages import deposit") == {"stages.deposit"}
-    assert forbidden_imports(("run", "step"), "import amrpic.commands.main") == {"commands.main"}
-    assert forbidden_imports(("io", "vtkhdf_writer"), "from ..run.step import State\nfrom .writer_ranks import x") == {
-        "run.step"
+    assert forbidden_imports(("pic", "step"), "import amrpic.commands.main") == {"commands.main"}
+    assert forbidden_imports(("io", "vtkhdf_writer"), "from ..pic.step import State\nfrom .writer_ranks import x") == {
+        "pic.step"
     }
     assert forbidden_imports(("stages", "push"), "import amrpic") == {"__init__"}
-    assert forbidden_imports(("commands", "run"), "from ..run import step\nfrom ..errors import AmrpicError") == set()
+    assert forbidden_imports(("commands", "run"), "from ..pic import step\nfrom ..errors import AmrpicError") == set()

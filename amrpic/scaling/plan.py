@@ -17,9 +17,9 @@ from ..io.writer_ranks import Load
 from ..mesh.boxes import Array
 from ..mesh.hierarchy import Hierarchy
 from ..parallel import Traffic
-from ..run.flight import deposits_meanwhile
-from ..run.memory import Share, cells_below, placing_bytes, rank_memory
-from ..run.restart import BEFORE, FIELDS, LAGGING_BYTES, ROW_BYTES, writers_of
+from ..pic.flight import deposits_meanwhile
+from ..pic.memory import Share, cells_below, placing_bytes, rank_memory
+from ..pic.restart import BEFORE, FIELDS, LAGGING_BYTES, ROW_BYTES, writers_of
 from ..scene.motion import Leapfrog, RandomWalk
 from ..scene.scene import Scene
 from .bricks import Bricks, Exchange, Served, bricks_of, served

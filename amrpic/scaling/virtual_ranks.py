@@ -19,7 +19,7 @@ from ..mesh.hierarchy import Hierarchy
 from ..parallel import VirtualRank, traffic
 from ..particles.clouds import Clouds
 from ..particles.particles import Particles
-from ..run.initial_particles import make_particles
+from ..pic.initial_particles import make_particles
 from ..scene.bunches import Train
 from ..scene.motion import Leapfrog, RandomWalk
 from ..scene.scene import Scene

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from ..run.state import State
+from ..pic.state import State
 from ..units import ELECTRON_MASS, ELEMENTARY_CHARGE, SPEED_OF_LIGHT
 from .draw import picture
 from .runs import collected, states

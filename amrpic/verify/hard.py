@@ -11,9 +11,8 @@ from mpi4py import MPI
 from ..mesh.domain import Domain
 from ..mesh.field import Field
 from ..mesh.hierarchy import Hierarchy
-from ..run.plan import Plan
-from ..run.simulation import Simulation
-from ..run.step import advance, begin
+from ..pic.simulation import Simulation
+from ..pic.step import advance, begin
 from ..stages.poisson import SolveReport
 from .chosen import scene_of, solver_of
 from .errors import errors
@@ -216,11 +215,10 @@ def _many_regrids(comm: MPI.Comm) -> Outcome:
         "refinement": {"levels": 1, "blocking_factor": 4, "max_grid_size": 16, "regrid_every": 1},
         "motion": {"kind": "leapfrog", "dt": 1.0},
     }
-    plan = Plan(comm, scene_of(scene))
-    state, meshes = begin(plan), 1
+    (state, setup), meshes = begin(comm, scene_of(scene)), 1
     drift, cycles, early = 0.0, 0, 0.0
     while meshes < 200 and state.step < 1000:
-        before, state = state.hierarchy, advance(state, plan)
+        before, state = state.hierarchy, advance(state, setup)
         meshes += state.hierarchy is not before
         drift = max(drift, abs(state.rho.integral() / CHARGE - 1))
         cycles = max(cycles, state.report.cycles)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from mpi4py import MPI
 
-from ..run.state import State
+from ..pic.state import State
 from ..stages.diagnostics import potential_energy
 from ..units import ELECTRON_MASS, ELEMENTARY_CHARGE
 from .errors import observed_order

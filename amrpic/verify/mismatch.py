@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from ..run.beam_tables import groups_of
-from ..run.plan import Plan
-from ..run.state import State
-from ..run.step import advance, begin
+from ..pic.beam_tables import groups_of
+from ..pic.setup import Setup
+from ..pic.state import State
+from ..pic.step import advance, begin
 from ..stages.beam_diagnostics import FRACTIONS, group_moments, group_quantiles
 from .channel import DEPRESSION, FOCUSING, PERIOD, RADIUS, constant, matched, slab, thermal
 from .chosen import in_full, scene_of
@@ -121,21 +121,20 @@ def scene(form: Form, cells: int, levels: int, deep: int = 1, rule: Mapping[str,
 
 def run(comm: MPI.Comm, form: Form, of: Mapping[str, Any]) -> Course:
     """Run a scene to its end. Collective."""
-    plan, radii, spent = Plan(comm, scene_of(of)), [], 0.0
-    state = begin(plan)
+    (state, setup), radii, spent = begin(comm, scene_of(of)), [], 0.0
     for _ in range(STEPS * form.periods):
         start = time.process_time()
-        state = advance(state, plan)
+        state = advance(state, setup)
         spent += time.process_time() - start
-        radii.append(_radii(comm, state, plan))
+        radii.append(_radii(comm, state, setup))
     seconds = comm.allreduce(spent, MPI.MAX) / len(radii)
     cells = state.hierarchy.cells()
     return Course(np.array(radii), seconds, cells)
 
 
-def _radii(comm: MPI.Comm, state: State, plan: Plan) -> np.ndarray:
+def _radii(comm: MPI.Comm, state: State, setup: Setup) -> np.ndarray:
     """Radii across the beam within which the `FRACTIONS` of the particles lie, m. Collective."""
-    groups = groups_of(state, plan.scene)
+    groups = groups_of(state, setup.scene)
     moments = group_moments(comm, state.beam, groups)
     (found,) = group_quantiles(comm, state.beam, groups, moments).values()
     return found.transverse

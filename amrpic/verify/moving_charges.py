@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 from ..parallel import share
 from ..particles.species import SPECIES, Species
-from ..run.simulation import Simulation
+from ..pic.simulation import Simulation
 from ..scene.scene import Scene
 from ..units import ELEMENTARY_CHARGE, SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
 from .table import Cell, Goal, Table

@@ -10,7 +10,7 @@ from mpi4py import MPI
 from scipy.integrate import solve_ivp
 
 from ..external import ExternalFields
-from ..run.state import State
+from ..pic.state import State
 from ..units import ELEMENTARY_CHARGE, PROTON_MASS, SPEED_OF_LIGHT
 from .chosen import scene_of
 from .runs import collected, states

@@ -9,18 +9,17 @@ import numpy as np
 from mpi4py import MPI
 
 from ..particles.particles import Particles
-from ..run.plan import Plan
-from ..run.state import State
-from ..run.step import advance, begin
+from ..pic.state import State
+from ..pic.step import advance, begin
 from .chosen import scene_of
 
 
 def states(comm: MPI.Comm, scene: Mapping[str, Any]) -> Iterator[State]:
     """The states of a run from its start to its last step. Collective."""
-    plan = Plan(comm, scene_of(scene))
-    yield (state := begin(plan))
-    while state.step < plan.scene.schedule.last_step:
-        yield (state := advance(state, plan))
+    state, setup = begin(comm, scene_of(scene))
+    yield state
+    while state.step < setup.scene.schedule.last_step:
+        yield (state := advance(state, setup))
 
 
 def end(comm: MPI.Comm, scene: Mapping[str, Any]) -> State:

@@ -12,8 +12,7 @@ from ..mesh.hierarchy import Hierarchy
 from ..particles.clouds import Clouds
 from ..particles.particles import Particles
 from ..particles.species import Species, SpeciesTable
-from ..run.plan import Plan
-from ..run.step import advance, begin
+from ..pic.step import advance, begin
 from ..stages.deposit import deposit
 from ..stages.diagnostics import moments
 from ..stages.gather import compensate, gather
@@ -194,10 +193,9 @@ def _end_of_flight(comm: MPI.Comm, interface: str, levels: int) -> Flight:
         "particles": {"interface": interface},
         "solver": {"tolerance": 1e-8},
     }
-    plan = Plan(comm, scene_of(scene))
-    state = begin(plan)
+    state, setup = begin(comm, scene_of(scene))
     for _ in range(steps):
-        state = advance(state, plan)
+        state = advance(state, setup)
     particles = state.synchronized
     found = moments(comm, particles)
     count = particles.global_count(comm)

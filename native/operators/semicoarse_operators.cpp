@@ -9,22 +9,24 @@ namespace amrpic {
 namespace {
 
 /// The row of a cell that lacks a neighbour, has one twice, or lies at a seam.
-Form special_row(Equation const& equation, SemicoarsenedLevel const& semicoarse, StencilCells const& n, Index3 const& cell) {
+Form special_row(Equation const& equation, SemicoarsenedLevel const& semicoarse, StencilCells const& n,
+                 Index3 const& cell) {
   FormsNear const near(*semicoarse.level, semicoarse.walls);
   GapFits no_gaps;  // its ends have ghosts of their own
   return laplacian_form(equation, near.own(), [&](int axis, int side) {
     CellFaces const& faces = n.faces(cell);
     if (faces(axis, side) == Beyond::same_level)
       return near.across(face_shape(n, cell, axis, side, Execution::without_finer, no_gaps), axis, side);
-    WallGhost ghost = faces(axis, side) == Beyond::wall ? semicoarse.walls[axis][side] : semicoarse.ghost(cell, axis, side);
+    WallGhost ghost =
+        faces(axis, side) == Beyond::wall ? semicoarse.walls[axis][side] : semicoarse.ghost(cell, axis, side);
     if (faces(axis, 1 - side) != Beyond::same_level) ghost.second = 0;
     return ghost(near.own(), near.own(axis, side == 0 ? 1 : -1));
   });
 }
 
 /// `reads`: what any operator reads of the semicoarse.
-std::shared_ptr<LevelOperators> laplacian_of(Communicator const& comm, SemicoarsenedLevel const& semicoarse, CellReads const& reads,
-                                             Real shift) {
+std::shared_ptr<LevelOperators> laplacian_of(Communicator const& comm, SemicoarsenedLevel const& semicoarse,
+                                             CellReads const& reads, Real shift) {
   auto out = std::make_shared<LevelOperators>();
   Level const& level = *semicoarse.level;
   out->level = semicoarse.level;
@@ -50,11 +52,11 @@ std::shared_ptr<LevelOperators> laplacian_of(Communicator const& comm, Semicoars
   return out;
 }
 
-/// A value of a level, or of its ghost cell: emit(cell, weight). `places`: of the level's cells. Ghost cells follow axis
-/// after axis, on the first `passes` of the six sides.
+/// A value of a level, or of its ghost cell: emit(cell, weight). `places`: of the level's cells. Ghost cells follow
+/// axis after axis, on the first `passes` of the six sides.
 template <class Emit>
-bool emit_value(SemicoarsenedLevel const& semicoarse, ArrayOnBox<LocalIndex> const& places, Index3 const& cell, Real weight,
-                int passes, Emit& emit) {
+bool emit_value(SemicoarsenedLevel const& semicoarse, ArrayOnBox<LocalIndex> const& places, Index3 const& cell,
+                Real weight, int passes, Emit& emit) {
   if (!places.box().contains(cell)) return false;
   if (places(cell) != no_place) {
     emit(cell, weight);
@@ -110,7 +112,8 @@ SparseMatrix prolongation_of(SemicoarsenedLevel const& semicoarse, LevelCells co
       auto emit = [&](Index3 const& source, Real w) {
         if (w != 0) form.add(from_anchor(source, around.parent), w);
       };
-      around.for_each([&](Index3 const& source, Real weight) { emit_value(semicoarse, places, source, weight, 6, emit); });
+      around.for_each(
+          [&](Index3 const& source, Real weight) { emit_value(semicoarse, places, source, weight, 6, emit); });
       row_forms.set(row++, forms.number(form));
     });
   }

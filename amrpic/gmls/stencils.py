@@ -174,8 +174,7 @@ def stencils(
     whole multiples of it from targets, and the samples at equal places are equal, such as the cells of a mesh and half of
     the finest width: targets with equal surroundings then share one solution, whose reach does not grow.
     one_sign: weights off the centre, the sample at the target, of one sign for a single scalar quantity, by a non-negative
-    least-squares problem for each target (some tenths of a millisecond). portable: target by target on Kokkos' host
-    execution space, slower.
+    least-squares problem for each target (some tenths of a millisecond). portable: target by target, slower.
 
     Raises InputError for what does not fit together, and SolverError with index and cause for a target that cannot be
     determined, unless failed is "mark": then its weights are NaN and `quality.failed` lists it. Not collective.

@@ -156,8 +156,8 @@ void bind_particle(nb::module_& m) {
           BrickWindows const of = windows_of(*hierarchy, {bricks(n, 0), bricks(n, 1), bricks(n, 2)}, matched);
           places.push_back(curve.place(of.home.level, of.cells.lower));
           for (Window const& window : of.windows)
-            for (Window::Part const& part : window.parts)
-              parts.insert(parts.end(), {std::int64_t(n), window.level, part.box, part.cells.cells()});
+            for (Overlap const& part : window.parts)
+              parts.insert(parts.end(), {std::int64_t(n), window.level, part.box, part.part.cells()});
         }
         std::size_t const rows = parts.size() / 4;
         return nb::make_tuple(bind::to_array(std::move(places)), bind::to_array(std::move(parts), {rows, 4}));

@@ -51,7 +51,7 @@ struct Stencils {
 
 /// The stencils of all targets; the path of those that the samples do not determine within `residual_bound` and
 /// `sum_bound` says so, and their weights are not to be used. Either with all lanes of the processor or, slower, target
-/// by target on Kokkos' host execution space; both agree to rounding.
+/// by target; both agree to rounding.
 void solve(Problem const& problem, Real residual_bound, Real sum_bound, bool portable, Stencils const& to);
 
 /// Of one target: weights are root_weight * z, where Qᵀ z = τ.

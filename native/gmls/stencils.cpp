@@ -1,7 +1,6 @@
 #include <algorithm>
 #include <numeric>
 
-#include "base/for_rows.hpp"
 #include "gmls/batch.hpp"
 
 namespace amrpic::gmls {
@@ -50,18 +49,14 @@ class Judge {
 
 void solve(Problem const& problem, Real residual_bound, Real sum_bound, bool portable, Stencils const& to) {
   Judge const judge(problem, residual_bound, sum_bound, to);
-  if (portable) {
-    for_rows(LocalIndex(problem.count), [&](LocalIndex row) {
-      Batch<Real> single(problem);
-      auto const target = std::size_t(row);
-      to.path[target] = Path::undetermined;
-      if (problem.neighbours(target) > 0) single.solve({target}, to);
-      judge.repair(target, single);
-    });
-    return;
-  }
-  Batch<ProcessorLanes> batch(problem);
   Batch<Real> single(problem);
+  for (std::size_t target = 0; portable && target < problem.count; ++target) {
+    to.path[target] = Path::undetermined;
+    if (problem.neighbours(target) > 0) single.solve({target}, to);
+    judge.repair(target, single);
+  }
+  if (portable) return;
+  Batch<ProcessorLanes> batch(problem);
   std::vector<std::size_t> order;
   for (std::size_t first = 0; first < problem.count; first += sorted_together) {
     std::size_t const last = std::min(problem.count, first + sorted_together);

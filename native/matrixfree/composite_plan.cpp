@@ -6,14 +6,6 @@ namespace amrpic {
 
 namespace {
 
-/// Put a rectangle across an axis where values lie.
-void place_across(int axis, RemoteReads::Values const& values, Rectangle& out) {
-  Index3 const pitch{1, values.pitch_y, values.pitch_z};
-  auto const [u, v] = tangential_axes(axis);
-  out.from = values.from;
-  out.pu = pitch[u], out.pv = pitch[v];
-}
-
 /// Makes the lists of one level of this rank.
 class LevelPlanner {
  public:
@@ -127,12 +119,9 @@ class LevelPlanner {
     for (Overlap const& o : near) {
       Overlap const met{o.box, o.part.intersect(window), o.shift};
       if (met.part.empty()) continue;
-      bool const here = level.owner(o.box) == level.rank();
       int const purpose = l == l_ ? CompositePlan::around_gaps(l) : CompositePlan::behind_gaps(l);
-      RemoteReads::Values const values =
-          here ? own_values(level, met) : cells_.find(purpose, number_, f, o.box, o.shift, met.part);
-      out_.window_parts.push_back({here, values.from, values.pitch_y, values.pitch_z, met.part});
-      plan_->remote = plan_->remote || !here;
+      out_.window_parts.push_back(part_of(cells_, purpose, level, number_, f, met));
+      plan_->remote = plan_->remote || !out_.window_parts.back().here;
     }
     out.last = std::int32_t(out_.window_parts.size());
     return out;
@@ -140,32 +129,28 @@ class LevelPlanner {
 
   /// The part of the plane beyond face f that a box of level l covers, placed from `origin`.
   Rectangle rectangle(int l, Overlap const& o, int f, Index3 const& origin) {
-    Level const& level = l == l_ ? level_ : *coarser_;
-    bool const here = level.owner(o.box) == level.rank();
-    plan_->remote = plan_->remote || !here;
     int const purpose = l == l_ ? CompositePlan::as_neighbours(l) : CompositePlan::behind_edges(l);
-    return rectangle_of(o, f / 2, origin, here,
-                        here ? own_values(level, o) : cells_.find(purpose, number_, f, o.box, o.shift, o.part));
+    WindowPart const part = part_of(cells_, purpose, l == l_ ? level_ : *coarser_, number_, f, o);
+    plan_->remote = plan_->remote || !part.here;
+    return part.across(f / 2, origin);
   }
 
   void plan_refined_side(LevelPlan const& fine, int number, FinerNeighbour const& n) {
     auto const [u, v] = tangential_axes(n.axis);
     Box const own = n.cells.in_box();
     int const face = 2 * n.axis + 1 - n.side;  // the finer box's
-    Rectangle fluxes{};
-    fluxes.here = finer_->owner(n.cells.box) == level_.rank();
-    fluxes.nu = own.extent(u), fluxes.nv = own.extent(v);
-    plan_->remote = plan_->remote || !fluxes.here;
-    if (fluxes.here) {
+    bool const here = finer_->owner(n.cells.box) == level_.rank();
+    Rectangle fluxes{here, 0, 1, 0, 0, 0, own.extent(u), own.extent(v)};
+    plan_->remote = plan_->remote || !here;
+    if (here) {
       auto const& box = fine.boxes[std::size_t(n.cells.box - finer_->first_local_box())];
       Interface const& i = fine.interfaces[std::size_t(box.faces[std::size_t(face)].interface)];
       Box const parents = finer_->box(n.cells.box).coarsen(refinement_ratio);
       fluxes.from = i.fluxes + (own.lower[u] - parents.lower[u] - i.u) + i.nu * (own.lower[v] - parents.lower[v] - i.v);
-      fluxes.pu = 1, fluxes.pv = i.nu;
+      fluxes.pv = i.nu;
     } else {
-      place_across(n.axis,
-                   out_.finer_fluxes.find(0, number_, 6 * number + face, n.cells.box, n.cells.shift, n.cells.part),
-                   fluxes);
+      fluxes = part_of(out_.finer_fluxes, 0, *finer_, number_, 6 * number + face, n.cells)
+                   .across(n.axis, n.cells.part.lower);
     }
     out_.refined.push_back({n.axis, n.side, counted_from_first(n.cells.part), fluxes});
   }
@@ -203,20 +188,22 @@ void Rectangle::copy(Real const* own, Real const* imported, Real* to, std::ptrdi
   }
 }
 
-RemoteReads::Values own_values(Level const& level, Overlap const& o) {
+WindowPart part_of(RemoteReads const& cells, int purpose, Level const& level, int reader, int region,
+                   Overlap const& o) {
+  if (level.owner(o.box) != level.rank()) {
+    RemoteReads::Values const values = cells.find(purpose, reader, region, o.box, o.shift, o.part);
+    return {false, values.from, values.pitch_y, values.pitch_z, o.part};
+  }
   Box const& box = level.box(o.box);
-  return {level.local_offset(o.box) + std::int32_t(box.offset(o.in_box().lower)), box.extent(0),
-          box.extent(0) * box.extent(1)};
+  Index3 const pitch = box.strides();
+  return {true, level.local_offset(o.box) + std::int32_t(box.offset(o.in_box().lower)), pitch[1], pitch[2], o.part};
 }
 
-Rectangle rectangle_of(Overlap const& o, int axis, Index3 const& origin, bool here, RemoteReads::Values const& values) {
+Rectangle WindowPart::across(int axis, Index3 const& origin) const {
   auto const [u, v] = tangential_axes(axis);
-  Rectangle out{};
-  out.here = here;
-  out.u = o.part.lower[u] - origin[u], out.v = o.part.lower[v] - origin[v];
-  out.nu = o.part.extent(u), out.nv = o.part.extent(v);
-  place_across(axis, values, out);
-  return out;
+  Index3 const pitch{1, pitch_y, pitch_z};
+  return {here,           from,          pitch[u], pitch[v], part.lower[u] - origin[u], part.lower[v] - origin[v],
+          part.extent(u), part.extent(v)};
 }
 
 CompositePlan::CompositePlan(Hierarchy const& hierarchy) : levels(std::size_t(hierarchy.level_count())) {

@@ -30,11 +30,18 @@ struct Rectangle {
   void copy(Real const* own, Real const* imported, Real* to, std::ptrdiff_t pitch) const;
 };
 
-/// Where the cells of a box of this rank lie that an overlap names.
-RemoteReads::Values own_values(Level const& level, Overlap const& o);
+/// Cells of a box, in its memory or as another rank sent them: a part of a region that another box reads.
+struct WindowPart {
+  bool here;                            ///< in this rank's memory
+  std::int32_t from, pitch_y, pitch_z;  ///< place of the first value as in Rectangle, and distances
+  Box part;                             ///< in the region's indices
 
-/// The cells of an overlap in a plane across an axis, placed from `origin`, in this rank's memory or as imported.
-Rectangle rectangle_of(Overlap const& o, int axis, Index3 const& origin, bool here, RemoteReads::Values const& values);
+  /// The same in a plane across an axis, placed from `origin`.
+  Rectangle across(int axis, Index3 const& origin) const;
+};
+
+/// The cells of an overlap of `level`, which `reader` reads for a purpose in one of its regions.
+WindowPart part_of(RemoteReads const& cells, int purpose, Level const& level, int reader, int region, Overlap const& o);
 
 /// Where the values beyond a face of a box come from.
 struct FacePlan {
@@ -51,13 +58,6 @@ struct Interface {
   std::int32_t fits;    ///< place of the fits of the rectangle's cells, u fastest
   std::int32_t fluxes;  ///< place of what the level sends through the coarse faces, u fastest
   int gaps = -1;        ///< in the level's list of gaps
-};
-
-/// Cells of a box, in its memory or as another rank sent them: a part of a window around gaps.
-struct WindowPart {
-  bool here;                            ///< in this rank's memory
-  std::int32_t from, pitch_y, pitch_z;  ///< place of the first value as in Rectangle, and distances
-  Box part;                             ///< in the window's indices
 };
 
 /// The gaps behind a face of a box, see `GapFit`.

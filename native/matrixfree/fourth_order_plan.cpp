@@ -1,5 +1,7 @@
 #include "matrixfree/fourth_order_plan.hpp"
 
+#include <cstring>
+
 #include "mesh/array_on_box.hpp"
 
 namespace amrpic {
@@ -39,32 +41,6 @@ Reads reads_behind(Level const& level, Level const& coarser) {
       });
 }
 
-/// How many usable cells lie in any rectangle of a plane.
-class UsableCells {
- public:
-  /// `usable`: a plane of cells across an axis.
-  UsableCells(ArrayOnBox<char> const& usable, int axis) {
-    auto const [u, v] = tangential_axes(axis);
-    pitch_ = usable.box().extent(u) + 1;
-    sums_.assign(std::size_t(pitch_) * std::size_t(usable.box().extent(v) + 1), 0);
-    char const* cell = usable.values().data();
-    for (int y = 1; y <= usable.box().extent(v); ++y)
-      for (int x = 1; x < pitch_; ++x)
-        sums_[place(x, y)] = *cell++ + sums_[place(x - 1, y)] + sums_[place(x, y - 1)] - sums_[place(x - 1, y - 1)];
-  }
-  /// Whether all cells of a block are usable.
-  bool operator()(int x, int y, int size) const {
-    return sums_[place(x + size, y + size)] - sums_[place(x, y + size)] - sums_[place(x + size, y)] +
-               sums_[place(x, y)] ==
-           size * size;
-  }
-
- private:
-  std::size_t place(int x, int y) const { return std::size_t(x) + std::size_t(y) * std::size_t(pitch_); }
-  int pitch_;
-  std::vector<int> sums_;
-};
-
 }  // namespace
 
 FourthOrderPlan::FourthOrderPlan(CompositeMesh const& mesh) : levels_(std::size_t(mesh.levels())) {
@@ -88,16 +64,21 @@ void FourthOrderPlan::plan_face(CompositeMesh const& mesh, int l, int b, int f, 
   Box const& box = mesh.box(l, b);
   int const axis = f / 2, side = f % 2;
   auto const [u, v] = tangential_axes(axis);
-  auto const near = overlaps(mesh.level(l), beyond(box, axis, side));
-  for (int n = 0; n < layers; ++n) {
-    plan.neighbours[std::size_t(n)].first = std::int32_t(level.rectangles.size());
-    Box const layer = box.layer(axis, side, n + 1);
+  auto const add_plane = [&](int of, std::vector<Overlap> const& near, Box const& layer) {
+    Range out{std::int32_t(level.rectangles.size()), 0};
+    int const purpose = l == of ? as_neighbours(l) : behind_edges(of), reader = mesh.level(l).first_local_box() + b;
     for (Overlap const& o : near) {
-      Box const part = o.part.intersect(layer);
-      if (!part.empty()) level.rectangles.push_back(rectangle(mesh, l, l, b, f, {o.box, part, o.shift}, layer.lower));
+      Overlap const met{o.box, o.part.intersect(layer), o.shift};
+      if (met.part.empty()) continue;
+      WindowPart const part = part_of(cells, purpose, mesh.level(of), reader, f, met);
+      if (!part.here) level.remote.back() = 1;
+      level.rectangles.push_back(part.across(axis, layer.lower));
     }
-    plan.neighbours[std::size_t(n)].last = std::int32_t(level.rectangles.size());
-  }
+    out.last = std::int32_t(level.rectangles.size());
+    return out;
+  };
+  auto const near = overlaps(mesh.level(l), beyond(box, axis, side));
+  for (int n = 0; n < layers; ++n) plan.neighbours[std::size_t(n)] = add_plane(l, near, box.layer(axis, side, n + 1));
   if (!face.has_coarser) return;
   Box const parents = box.coarsen(refinement_ratio), read = behind(box, axis, side);
   plan.nu = parents.extent(u), plan.nv = parents.extent(v);
@@ -105,35 +86,22 @@ void FourthOrderPlan::plan_face(CompositeMesh const& mesh, int l, int b, int f, 
   level.blocks.resize(level.blocks.size() + std::size_t(plan.nu) * std::size_t(plan.nv));
   auto const coarse = overlaps(mesh.level(l - 1), read);
   for (int n = 0; n < layers; ++n) {
-    plan.coarse[std::size_t(n)].first = std::int32_t(level.rectangles.size());
     Box layer = read;
     layer.lower[axis] = layer.upper[axis] = parents.layer(axis, side, n + 1).lower[axis];
+    plan.coarse[std::size_t(n)] = add_plane(l - 1, coarse, layer);
     ArrayOnBox<char> usable(layer, 0);
-    for (Overlap const& o : coarse) {
-      Box const part = o.part.intersect(layer);
-      if (part.empty()) continue;
-      usable.fill(part, 1);
-      level.rectangles.push_back(rectangle(mesh, l, l - 1, b, f, {o.box, part, o.shift}, layer.lower));
-    }
-    plan.coarse[std::size_t(n)].last = std::int32_t(level.rectangles.size());
-    UsableCells const all_usable(usable, axis);
+    for (Overlap const& o : coarse) usable.fill(o.part, 1);
     OfCell* of_cell = level.blocks.data() + plan.blocks;
+    int const pitch = layer.extent(u);
     for (int y = margin; y < margin + plan.nv; ++y)
       for (int x = margin; x < margin + plan.nu; ++x)
-        (*of_cell++)[std::size_t(n)] =
-            fourth_order::best_block([&](int du, int dv, int size) { return all_usable(x + du, y + dv, size); });
+        (*of_cell++)[std::size_t(n)] = fourth_order::best_block([&](int du, int dv, int size) {
+          char const* row = usable.values().data() + (x + du) + (y + dv) * pitch;
+          for (char const* const end = row + size * pitch; row < end; row += pitch)
+            if (std::memchr(row, 0, std::size_t(size))) return false;
+          return true;
+        });
   }
-}
-
-/// The part of a plane beyond face f of a box of level l that a box of level `of` covers, placed from `origin`.
-Rectangle FourthOrderPlan::rectangle(CompositeMesh const& mesh, int l, int of, int b, int f, Overlap const& o,
-                                     Index3 const& origin) {
-  Level const& level = mesh.level(of);
-  bool const here = level.owner(o.box) == level.rank();
-  if (!here) levels_[std::size_t(l)].remote.back() = 1;
-  int const purpose = l == of ? as_neighbours(l) : behind_edges(of), reader = mesh.level(l).first_local_box() + b;
-  return rectangle_of(o, f / 2, origin, here,
-                      here ? own_values(level, o) : cells.find(purpose, reader, f, o.box, o.shift, o.part));
 }
 
 std::size_t FourthOrderPlan::bytes() const {

@@ -45,7 +45,6 @@ class FourthOrderPlan {
 
  private:
   void plan_face(CompositeMesh const& mesh, int l, int b, int f, Face const& face);
-  Rectangle rectangle(CompositeMesh const& mesh, int l, int of, int b, int f, Overlap const& o, Index3 const& origin);
 
   std::vector<OnLevel> levels_;
 };

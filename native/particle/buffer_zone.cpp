@@ -107,9 +107,7 @@ BufferZone::BufferZone(Hierarchy const& hierarchy) {
       reads.add_numbers(
           finer,
           [&](Box const& o) {
-            Box out = o.grow(tile_reach);
-            for (int n = 0; n < r; ++n) out = out.refine(refinement_ratio);
-            return out;
+            return o.grow(tile_reach).refine({1 << r, 1 << r, 1 << r});
           },
           [&](int b) {
             auto const of_box = finer.owner(b) == finer.rank()

@@ -130,6 +130,7 @@ void Compensator::begin(int level, Box const& tile, OccupiedRows const& rows) {
 
 void Compensator::begin(std::size_t slot, OccupiedRows const& rows, bool others_add_inside) {
   box_ = &places_.box(slot);
+  is_whole_ = places_.is_whole(slot);
   Box const& box = rows.box();
   begin(box_->level, box, rows);
   if (others_add_inside) inside_ = box.grow(-1);
@@ -138,7 +139,6 @@ void Compensator::begin(std::size_t slot, OccupiedRows const& rows, bool others_
   filled_ = cells_.lower[2] - 1;
   has_coarse_ = false;
   for (int k = cells_.lower[2]; k < cells_.lower[2] + ahead; ++k) bring_plane_near(k);
-  for (auto const& row : box_->coarse) bring_row_near(&at(level_ - 1, row.place), row.count);
 }
 
 void Compensator::add_to_plane(int k, Tile<per_cell>& tile) {
@@ -160,87 +160,86 @@ void Compensator::write_row(DifferenceRow const& phi, std::ptrdiff_t row, std::p
 void Compensator::fill_plane(int k) {
   near_.go_to_plane(k);
   fill_own_rows(k);
-  box_->for_each_ghost_block(k, [&](CellBlock const& block) { fill_block(block, k); });
+  box_->ghosts.for_each_run(k, [&](GhostRun const& run) { fill_run(run, k); });
   bring_plane_near(k + ahead);
 }
 
 /// Ask for what will be wanted of a plane: rows here and there in memory, which processors do not foresee.
 void Compensator::bring_plane_near(int k) const {
-  box_->for_each_ghost_block(k, [&](CellBlock const& block) {
-    Box const& cells = block.cells;
-    if (block.place < 0) return;
-    Real const* from = &at(level_, block.place) + (block.row(cells.lower[1], k) - block.place);
-    for (int j = cells.lower[1]; j <= cells.upper[1]; ++j, from += block.stride[1])
-      bring_row_near(from, cells.extent(0));
+  if (k > cells_.upper[2]) return;
+  box_->ghosts.for_each_run(k, [&](GhostRun const& run) {
+    if (run.place < 0) return;
+    Real const* const from = &at(level_, run.place);
+    if (run.place_stride == 1) return bring_row_near(from, run.count);
+    for (LocalIndex n = 0; n < run.count; ++n) bring_near(from + n * run.place_stride);
   });
 }
 
 /// The box's own cells in a plane.
 void Compensator::fill_own_rows(int k) {
-  Level const& level = hierarchy_.level(level_);
-  Box const& box = level.box(box_->box);
+  Box const& box = hierarchy_.level(level_).box(box_->box);
   if (k < box.lower[2] || k > box.upper[2]) return;
-  LocalIndex const first = level.local_offset(box_->box);
-  auto const fill = [&](Index3 const& lower, Index3 const& upper) {
-    Box const part{lower, upper};
-    if (!part.empty()) fill_block({part, first + LocalIndex(box.offset(lower)), {1, int(box.stride(1)), 0}}, k);
-  };
-  Box const ends = inside_.empty() ? inside_ : inside_.grow({0, -1, -1});  // rows of which the ends alone are wanted
-  if (ends.empty() || k < ends.lower[2] || k > ends.upper[2] || box.extent(0) < 2 * reach)
-    return fill({box.lower[0], box.lower[1], k}, {box.upper[0], box.upper[1], k});
-  fill({box.lower[0], box.lower[1], k}, {box.upper[0], ends.lower[1] - 1, k});
-  for (int i : {box.lower[0], box.upper[0] - reach + 1}) fill({i, ends.lower[1], k}, {i + reach - 1, ends.upper[1], k});
-  fill({box.lower[0], ends.upper[1] + 1, k}, {box.upper[0], box.upper[1], k});
+  Real const* row = own() + box.offset({box.lower[0], box.lower[1], k});
+  int const count = box.extent(0), last = count - reach;
+  for (int j = box.lower[1]; j <= box.upper[1]; ++j, row += count) {
+    Real* const to = cell(box.lower[0], j, k);
+    RowPart const part = near_(j).intersect(box.lower[0], box.upper[0]);
+    int const first = part.first - box.lower[0];
+    if (part.empty()) continue;
+    if (is_inside(j - 1, k - 1) && is_inside(j + 1, k + 1) && last >= reach)  // the ends alone are wanted
+      store(to, load<Pair>(row)), store(to + last, load<Pair>(row + last));
+    else
+      copy_row(row + first, part.last - part.first + 1, to + first);
+  }
 }
 
-void Compensator::fill_block(CellBlock const& block, int k) {
-  bool const is_missing = block.place < 0;
+/// Ghost cells in a row or a column: the level's own, or values between coarser ones.
+void Compensator::fill_run(GhostRun const& run, int k) {
+  bool const is_missing = run.place < 0, is_row = run.axis == 0;
   if (is_missing && matched_) return;  // with matched clouds no particle reads what follows from there
-  Real const* const from = is_missing ? nullptr : &at(level_, block.place);
-  // columns: as many rows as in all else together
-  if (!is_missing && block.cells.extent(0) == reach && near_.holds(block.cells.lower[0], block.cells.upper[0])) {
-    Real* to = cell(block.cells.lower[0], block.cells.lower[1], k);
-    Real const* row = from + (block.row(block.cells.lower[1], k) - block.place);
-    for (int j = block.cells.extent(1); j > 0; --j, row += block.stride[1], to += cells_.stride(1))
-      store(to, load<Pair>(row));
+  Real const* const from = is_missing ? nullptr : &at(level_, run.place);
+  int const i = run.first[0], j = run.first[1], rows = is_row ? 1 : run.count;
+  bool const is_pair = is_missing && !is_row && is_whole_;  // two columns of children of the same parents, at once
+  if (is_pair && i % 2 != 0) return;
+  int const last = i + (is_row ? run.count : is_pair ? 2 : 1) - 1;
+  if (!is_row && !is_missing && near_.holds(i, i)) {  // columns: as many rows as in all else together
+    Real* const to = cell(i, j, k);
+    for (int n = 0; n < rows; ++n) to[n * cells_.stride(1)] = from[std::ptrdiff_t(n) * run.place_stride];
     return;
   }
-  for (int j = block.cells.lower[1]; j <= block.cells.upper[1]; ++j) {
-    RowPart const part = near_(j).intersect(block.cells.lower[0], block.cells.upper[0]);
+  for (int n = 0; n < rows; ++n) {
+    RowPart const part = near_(j + n).intersect(i, last);
     if (part.empty()) continue;
+    Real* const to = cell(part.first, j + n, k);
     if (is_missing)
-      interpolate_row(part, j, k, cell(part.first, j, k));
+      interpolate_row(part, j + n, k, to);
     else
-      copy_row(from + (block.row(j, k) - block.place) + part.first - block.cells.lower[0], part.last - part.first + 1,
-               cell(part.first, j, k));
+      copy_row(from + std::ptrdiff_t(n) * run.place_stride + (part.first - i), part.last - part.first + 1, to);
   }
 }
 
 void Compensator::interpolate_row(RowPart const& part, int j, int k, Real* out) {
-  if (!has_coarse_) read_coarse();
+  if (is_whole_) return interpolate_whole_row(part, j, k, out);
   Level const &level = hierarchy_.level(level_), &coarser = hierarchy_.level(level_ - 1);
-  if (box_->whole) return interpolate_whole_row(part, j, k, out);
   for (int i = part.first; i <= part.last; ++i)
     *out++ = interpolated(level.fold_at_walls({i, j, k}), coarser, [&](Index3 const& from) -> Real const* {
-      std::size_t const number = std::size_t(box_->parents.offset(from));
-      return exists_[number] ? &coarse_[number] : nullptr;
+      LocalIndex const place = box_->coarse[std::size_t(box_->parents.offset(from))];
+      return place < 0 ? nullptr : &at(level_ - 1, place);
     });
 }
 
 /// The coarser level's density on the parents of the box, as far as cells are interpolated from it.
 void Compensator::read_coarse() {
-  std::size_t const cells = std::size_t(box_->parents.cells());
+  std::size_t const cells = box_->coarse.size();
   coarse_.resize(std::max(coarse_.size(), cells + lane_count));  // vectors may touch what follows
-  exists_.assign(cells, 0);
-  for (auto const& [number, place, count] : box_->coarse) {
-    copy_row(&at(level_ - 1, place), count, coarse_.data() + number);
-    std::fill_n(exists_.begin() + number, count, 1);
-  }
+  for (std::size_t n = 0; n < cells; ++n)
+    if (LocalIndex const place = box_->coarse[n]; place >= 0) coarse_[n] = at(level_ - 1, place);
   has_coarse_ = true;
 }
 
 /// The same values where all coarse ones exist: both children along x of several parents at a time.
 void Compensator::interpolate_whole_row(RowPart const& part, int j, int k, Real* out) {
+  if (!has_coarse_) read_coarse();
   Box const& parents = box_->parents;
   Index3 const near = parent_of({part.first, j, k}), far = nearest_other_parent({part.first, j, k});
   int const last = floor_divide(part.last, 2), skipped = part.first - 2 * near[0];
@@ -284,8 +283,8 @@ void Compensator::add_to_remote(std::size_t brick, std::size_t w, Tile<per_cell>
   values_.assign(value(w, cells_.lower), value(w, cells_.lower) + cells_.cells());
   if (!window.whole && w + 1 < windows.size()) {
     auto const coarse = [&](Index3 const& from) -> Real const* {
-      for (Window::Part const& part : windows[w + 1].parts)
-        if (part.cells.contains(from)) return value(w + 1, from);
+      for (Overlap const& o : windows[w + 1].parts)
+        if (o.part.contains(from)) return value(w + 1, from);
       return nullptr;
     };
     for_each_missing(level, window, [&](Index3 const& cell) {

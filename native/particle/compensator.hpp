@@ -47,7 +47,7 @@ class Compensator {
   bool is_inside(int j, int k) const {
     return j >= inside_.lower[1] && j <= inside_.upper[1] && k >= inside_.lower[2] && k <= inside_.upper[2];
   }
-  void fill_block(CellBlock const& block, int k);
+  void fill_run(GhostRun const& run, int k);
   void interpolate_row(RowPart const& part, int j, int k, Real* out);
   void interpolate_whole_row(RowPart const& part, int j, int k, Real* out);
   void read_coarse();
@@ -76,7 +76,8 @@ class Compensator {
   std::vector<std::vector<Real>> halos_;  ///< of each level
   std::vector<Real> remote_;              ///< in all windows
   // of the tile under way, or of the box whose slabs they are
-  DensityPlaces::OfBox const* box_ = nullptr;
+  BoxGhosts const* box_ = nullptr;
+  bool is_whole_ = false;  ///< see DensityPlaces
   int level_ = 0;
   NearRows near_tile_, near_;  ///< where the tile, and where the density is wanted
   int filled_ = 0;             ///< planes up to this one have been filled
@@ -86,7 +87,6 @@ class Compensator {
   std::vector<Real> values_;   ///< it
   bool has_coarse_ = false;    ///< whether what follows is of this box
   std::vector<Real> coarse_;   ///< the density of the coarser level on the parents of a box
-  std::vector<char> exists_;   ///< whether that level has these cells
   std::vector<Real> row_;      ///< of children of parents in a row
 };
 

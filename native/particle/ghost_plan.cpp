@@ -16,15 +16,13 @@ struct Numbered {
 
 /// Mark the coarse cells that deposit and gather use for a ghost cell that its level lacks.
 void mark_coarse(Numbered& out, ArrayOnBox<GlobalIndex> const& numbers, Level const& coarser, Index3 const& cell) {
-  Index3 const parent = parent_of(cell), other = nearest_other_parent(cell);
-  for (int corner = 0; corner < 8; ++corner) {
-    Index3 c;
-    for (int d = 0; d < 3; ++d) c[d] = (corner >> d) & 1 ? other[d] : parent[d];
-    c = coarser.fold_at_walls(c);
-    if (numbers(c) == no_cell && c == coarser.fold_at_walls(parent))
+  Index3 const parent = coarser.fold_at_walls(parent_of(cell));
+  for_each_coarse_around(cell, [&](Index3 const& from, Real) {
+    Index3 const c = coarser.fold_at_walls(from);
+    if (numbers(c) == no_cell && c == parent)
       fail_alone("cell " + to_string(c) + " beside a finer level does not exist, although levels nest");
     out.coarse[std::size_t(out.parents.offset(c))] = numbers(c);
-  }
+  });
 }
 
 Numbered number_ghosts(Hierarchy const& hierarchy, int l, int b, int reach) {

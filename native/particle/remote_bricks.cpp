@@ -12,14 +12,7 @@ namespace {
 
 Window window_of(Hierarchy const& hierarchy, int l, Box const& cells) {
   Level const& level = hierarchy.level(l);
-  Window out{l, cells, {}, false};
-  GlobalIndex found = 0;
-  level.for_each_overlap(cells, [&](int box, Box const& part, Index3 const& shift) {
-    out.parts.push_back({box, part, shift});
-    found += part.cells();
-  });
-  out.whole = found == level.cut_at_walls(cells).cells();
-  return out;
+  return {l, cells, overlaps(level, cells), level.cells_in(cells) == level.cut_at_walls(cells).cells()};
 }
 
 /// Call f(window, part, owner) for the parts of the windows of a brick, in the order of messages.
@@ -27,7 +20,7 @@ template <class F>
 void for_each_part(Hierarchy const& hierarchy, BrickWindows const& brick, F&& f) {
   for (std::size_t w = 0; w < brick.windows.size(); ++w) {
     Window const& window = brick.windows[w];
-    for (Window::Part const& part : window.parts) f(w, part, hierarchy.level(window.level).owner(part.box));
+    for (Overlap const& o : window.parts) f(w, o, hierarchy.level(window.level).owner(o.box));
   }
 }
 
@@ -65,11 +58,52 @@ std::vector<OfRank> exchanged(Communicator const& comm, std::map<int, std::vecto
   return out;
 }
 
-/// Call f(place, count, row) for the rows of cells along x of a part of a box, places counted from the box's first
-/// cell.
-template <class F>
-void for_each_row_of(Box const& box, Box const& part, F&& f) {
-  for_each_row(part, [&](Index3 const& first) { f(std::size_t(box.offset(first)), std::size_t(part.extent(0))); });
+/// Copy the values in a part of a box, `per_cell` in each cell, to `out`, or those that come to the part, or add these;
+/// `values`: of the whole box. Each returns what follows.
+Real* copy_from(Box const& box, Real const* values, Box const& part, Real* out, std::size_t per_cell = 1) {
+  std::size_t const count = per_cell * std::size_t(part.extent(0));
+  for_each_row(part, [&](Index3 const& first) {
+    out = std::copy_n(values + per_cell * std::size_t(box.offset(first)), count, out);
+  });
+  return out;
+}
+void copy_to(Box const& box, Real* values, Box const& part, Real const* in, std::size_t per_cell) {
+  std::size_t const count = per_cell * std::size_t(part.extent(0));
+  for_each_row(part, [&](Index3 const& first) {
+    std::copy_n(in, count, values + per_cell * std::size_t(box.offset(first)));
+    in += count;
+  });
+}
+Real const* add_to(Box const& box, Real* values, Box const& part, Real const* in) {
+  for_each_row(part, [&](Index3 const& first) {
+    Real* const row = values + box.offset(first);
+    for (int n = 0; n < part.extent(0); ++n) row[n] += *in++;
+  });
+  return in;
+}
+
+/// pack(rank, out) for `exchanged`: the values in parts of windows, if there are any.
+template <class Part>
+auto packed(std::map<int, std::vector<Part>> const& of_ranks, std::vector<Real> const* values) {
+  return [&of_ranks, values](int rank, std::vector<Real>& out) {
+    if (!values) return;
+    for (Part const& part : of_ranks.at(rank)) {
+      out.resize(out.size() + std::size_t(part.cells.cells()));
+      copy_from(part.window, values->data() + part.first, part.cells, out.data() + out.size() - part.cells.cells());
+    }
+  };
+}
+
+/// A parcel for each of those parts, which are appended to a list.
+template <class Part>
+std::vector<Parcel> parcels(std::map<int, std::vector<Part>> const& of_ranks, std::vector<Part>& list) {
+  std::vector<Parcel> out;
+  for (auto const& [rank, parts] : of_ranks)
+    for (Part const& part : parts) {
+      out.push_back({rank, part.cells.cells()});
+      list.push_back(part);
+    }
+  return out;
 }
 
 }  // namespace
@@ -115,41 +149,25 @@ void RemotePlan::append(BrickWindows brick, int server) {
 
 void RemotePlan::announce_with(std::vector<Real>* values, Field* density) {
   is_announced_ = true;
-  Communicator const& comm = hierarchy_->comm();
-  int const me = comm.rank();
-  using PartsOfRanks = std::map<int, std::vector<WindowPart>>;
-  auto const packed = [&](PartsOfRanks const& of_ranks) {
-    return [&](int rank, std::vector<Real>& out) {
-      if (!values) return;
-      for (WindowPart const& part : of_ranks.at(rank)) {
-        out.resize(out.size() + std::size_t(part.cells.cells()));
-        pack(*values, part, out.data() + out.size() - part.cells.cells());
-      }
-    };
-  };
-  auto const parcels = [](PartsOfRanks const& of_ranks, std::vector<WindowPart>& parts) {
-    std::vector<Parcel> out;
-    for (auto const& [rank, list] : of_ranks)
-      for (WindowPart const& part : list) {
-        out.push_back({rank, part.cells.cells()});
-        parts.push_back(part);
-      }
-    return out;
-  };
+  meet_servers(values);
+  meet_owners(values, density);
+}
 
-  // To the first servers.
+/// Between the first server of each brick and its others: what these add, and later what they read.
+void RemotePlan::meet_servers(std::vector<Real>* values) {
+  Communicator const& comm = hierarchy_->comm();
   std::map<Home, std::size_t> place;
-  std::map<int, std::vector<Home>> to_servers, to_owners;
-  PartsOfRanks brought_by, wanted_of;
+  std::map<int, std::vector<Home>> to_servers;
+  std::map<int, std::vector<WindowPart>> brought_by;
   for (std::size_t b = 0; b < bricks_.size(); ++b) {
     place[bricks_[b].home] = b;
-    if (servers_[b] == me) continue;
+    if (servers_[b] == comm.rank()) continue;
     to_servers[servers_[b]].push_back(bricks_[b].home);
     auto& parts = brought_by[servers_[b]];
     for_each_part(*hierarchy_, bricks_[b],
-                  [&](std::size_t w, Window::Part const& part, int) { parts.push_back(part_of(b, w, part)); });
+                  [&](std::size_t w, Overlap const& o, int) { parts.push_back(part_of(b, w, o)); });
   }
-  auto const of_servers = exchanged(comm, to_servers, packed(brought_by));
+  auto const of_servers = exchanged(comm, to_servers, packed(brought_by, values));
 
   std::vector<Home> more;
   for (OfRank const& of : of_servers)
@@ -158,7 +176,7 @@ void RemotePlan::announce_with(std::vector<Real>* values, Field* density) {
   std::sort(more.begin(), more.end());
   for (Home const& brick : more) {
     place[brick] = bricks_.size();
-    append(windows_of(*hierarchy_, brick, matched_, reach_), me);
+    append(windows_of(*hierarchy_, brick, matched_, reach_), comm.rank());
   }
   std::vector<Parcel> passed_on;
   if (values) values->resize(cells_, 0);
@@ -166,62 +184,57 @@ void RemotePlan::announce_with(std::vector<Real>* values, Field* density) {
     Real const* in = of.values.data();
     for (Home const& brick : of.bricks) {
       std::size_t const b = place.at(brick);
-      for_each_part(*hierarchy_, bricks_[b], [&](std::size_t w, Window::Part const& part, int) {
-        passed_on.push_back({of.rank, part.cells.cells()});
-        passed_on_.push_back(part_of(b, w, part));
+      for_each_part(*hierarchy_, bricks_[b], [&](std::size_t w, Overlap const& o, int) {
+        passed_on.push_back({of.rank, o.part.cells()});
+        passed_on_.push_back(part_of(b, w, o));
         if (values) in = add_to_window(in, passed_on_.back(), *values);
       });
     }
   }
+  between_servers_ = Exchange<Real>(comm, passed_on, parcels(brought_by, brought_));
+}
 
-  // To the owners.
-  auto const own_part = [&](int l, Window::Part const& part) {
-    return OwnPart{l, part.box - hierarchy_->level(l).first_local_box(), part.in_box()};
+/// The same between the first servers and the owners of cells.
+void RemotePlan::meet_owners(std::vector<Real>* values, Field* density) {
+  Communicator const& comm = hierarchy_->comm();
+  int const me = comm.rank();
+  std::map<int, std::vector<Home>> to_owners;
+  std::map<int, std::vector<WindowPart>> wanted_of;
+  auto const own_part = [&](int l, Overlap const& o) {
+    return OwnPart{l, o.box - hierarchy_->level(l).first_local_box(), o.in_box()};
   };
   for (std::size_t b = 0; b < bricks_.size(); ++b) {
     if (servers_[b] != me) continue;
-    for_each_part(*hierarchy_, bricks_[b], [&](std::size_t w, Window::Part const& part, int owner) {
-      if (owner == me) {
-        local_.push_back({own_part(bricks_[b].windows[w].level, part), part_of(b, w, part)});
-        return;
-      }
-      wanted_of[owner].push_back(part_of(b, w, part));
+    for_each_part(*hierarchy_, bricks_[b], [&](std::size_t w, Overlap const& o, int owner) {
+      if (owner == me) return local_.push_back({own_part(bricks_[b].windows[w].level, o), part_of(b, w, o)});
+      wanted_of[owner].push_back(part_of(b, w, o));
       auto& list = to_owners[owner];
       if (list.empty() || !(list.back() == bricks_[b].home)) list.push_back(bricks_[b].home);
     });
   }
-  auto const of_others = exchanged(comm, to_owners, packed(wanted_of));
+  auto const of_others = exchanged(comm, to_owners, packed(wanted_of, values));
   if (values) add_local(*values, *density);
   std::vector<Parcel> asked;
   for (OfRank const& of : of_others) {
     Real const* in = of.values.data();
     for (Home const& home : of.bricks) {
       BrickWindows const brick = windows_of(*hierarchy_, home, matched_, reach_);
-      for_each_part(*hierarchy_, brick, [&](std::size_t w, Window::Part const& part, int owner) {
+      for_each_part(*hierarchy_, brick, [&](std::size_t w, Overlap const& o, int owner) {
         if (owner != me) return;
-        asked.push_back({of.rank, part.cells.cells()});
-        asked_.push_back(own_part(brick.windows[w].level, part));
+        asked.push_back({of.rank, o.part.cells()});
+        asked_.push_back(own_part(brick.windows[w].level, o));
         if (values) in = add_to_cells(in, asked_.back(), *density);
       });
     }
   }
   exchange_ = Exchange<Real>(comm, asked, parcels(wanted_of, wanted_));
-  between_servers_ = Exchange<Real>(comm, passed_on, parcels(brought_by, brought_));
 }
 
 template <class Write>
 std::vector<Real> RemotePlan::read(std::size_t per_cell, Write const& write) const {
   std::vector<Real> out(per_cell * cells_);
   auto const unpack = [&](WindowPart const& to, Real const* in) {
-    for_each_row_of(to.window, to.cells, [&](std::size_t place, std::size_t count) {
-      std::copy_n(in, per_cell * count, out.data() + per_cell * (to.first + place));
-      in += per_cell * count;
-    });
-  };
-  auto const pack = [&](WindowPart const& from, Real* to) {
-    for_each_row_of(from.window, from.cells, [&](std::size_t place, std::size_t count) {
-      to = std::copy_n(out.data() + per_cell * (from.first + place), per_cell * count, to);
-    });
+    copy_to(to.window, out.data() + per_cell * to.first, to.cells, in, per_cell);
   };
   exchange_.update([&](std::size_t n, Real* to) { write(asked_[n], to); },
                    [&](std::size_t n, Real const* in) { unpack(wanted_[n], in); }, per_cell);
@@ -231,8 +244,12 @@ std::vector<Real> RemotePlan::read(std::size_t per_cell, Write const& write) con
     write(part.own, cells.data());
     unpack(part.window, cells.data());
   }
-  between_servers_.update([&](std::size_t n, Real* to) { pack(passed_on_[n], to); },
-                          [&](std::size_t n, Real const* in) { unpack(brought_[n], in); }, per_cell);
+  between_servers_.update(
+      [&](std::size_t n, Real* to) {
+        WindowPart const& from = passed_on_[n];
+        copy_from(from.window, out.data() + per_cell * from.first, from.cells, to, per_cell);
+      },
+      [&](std::size_t n, Real const* in) { unpack(brought_[n], in); }, per_cell);
   return out;
 }
 
@@ -246,37 +263,23 @@ std::vector<Real> RemotePlan::read(Field const& density) const {
   return read(1, [&](OwnPart const& of, Real* to) {
     Level const& level = hierarchy.level(of.level);
     int const box = level.first_local_box() + of.box;
-    Real const* const own = density.level(of.level).data() + level.local_offset(box);
-    for_each_row_of(level.box(box), of.cells,
-                    [&](std::size_t place, std::size_t count) { to = std::copy_n(own + place, count, to); });
+    copy_from(level.box(box), density.level(of.level).data() + level.local_offset(box), of.cells, to);
   });
 }
 
-/// Write the values of a part of a window to `out`. Returns where the next ones go.
 Real* RemotePlan::pack(std::vector<Real> const& values, WindowPart const& from, Real* out) {
-  for_each_row_of(from.window, from.cells, [&](std::size_t place, std::size_t count) {
-    out = std::copy_n(values.data() + from.first + place, count, out);
-  });
-  return out;
+  return copy_from(from.window, values.data() + from.first, from.cells, out);
 }
 
-/// Add to those of a part of a window. Returns the values behind, as `add_to_cells` does.
 Real const* RemotePlan::add_to_window(Real const* in, WindowPart const& to, std::vector<Real>& values) {
-  for_each_row_of(to.window, to.cells, [&](std::size_t place, std::size_t count) {
-    for (std::size_t n = 0; n < count; ++n) values[to.first + place + n] += *in++;
-  });
-  return in;
+  return add_to(to.window, values.data() + to.first, to.cells, in);
 }
 
 /// Add to cells of this rank.
 Real const* RemotePlan::add_to_cells(Real const* in, OwnPart const& to, Field& density) const {
   Level const& level = hierarchy_->level(to.level);
   int const box = level.first_local_box() + to.box;
-  Real* const own = density.level(to.level).data() + level.local_offset(box);
-  for_each_row_of(level.box(box), to.cells, [&](std::size_t place, std::size_t count) {
-    for (std::size_t n = 0; n < count; ++n) own[place + n] += *in++;
-  });
-  return in;
+  return add_to(level.box(box), density.level(to.level).data() + level.local_offset(box), to.cells, in);
 }
 
 void RemotePlan::add_local(std::vector<Real> const& values, Field& density) const {

@@ -21,25 +21,17 @@ inline Box cells_of(Hierarchy const& hierarchy, Home const& brick) {
 
 /// The cells of one level around a brick that the clouds of its particles touch.
 struct Window {
-  /// Those that lie in one box.
-  struct Part {
-    int box;
-    Box cells;     ///< in the indices of the window
-    Index3 shift;  ///< less this, they are those of the box
-    Box in_box() const { return cells.shift_back(shift); }
-  };
-
   int level;
-  Box cells;  ///< what lies behind walls or beyond the level included
-  std::vector<Part> parts;
-  bool whole;  ///< whether the level has all cells that lie behind no wall
+  Box cells;                   ///< what lies behind walls or beyond the level included
+  std::vector<Overlap> parts;  ///< of the level's boxes
+  bool whole;                  ///< whether the level has all cells that lie behind no wall
 };
 
 /// Call f(cell) for the cells of a window that lie behind no wall and that its level lacks.
 template <class F>
 void for_each_missing(Level const& level, Window const& window, F&& f) {
   ArrayOnBox<char> exists(window.cells, 0);
-  for (Window::Part const& part : window.parts) exists.fill(part.cells, 1);
+  for (Overlap const& o : window.parts) exists.fill(o.part, 1);
   for_each_cell(level.cut_at_walls(window.cells), [&](Index3 const& cell) {
     if (!exists(cell)) f(cell);
   });
@@ -111,13 +103,15 @@ class RemotePlan {
   void append(BrickWindows brick, int server);
   /// Let others know, and give them what is to be added, if anything.
   void announce_with(std::vector<Real>* values, Field* density);
+  void meet_servers(std::vector<Real>* values);
+  void meet_owners(std::vector<Real>* values, Field* density);
   static Real* pack(std::vector<Real> const& values, WindowPart const& from, Real* out);
   static Real const* add_to_window(Real const* in, WindowPart const& to, std::vector<Real>& values);
   Real const* add_to_cells(Real const* in, OwnPart const& to, Field& density) const;
   void add_local(std::vector<Real> const& values, Field& density) const;
 
-  WindowPart part_of(std::size_t brick, std::size_t window, Window::Part const& part) const {
-    return {bricks_[brick].windows[window].cells, part.cells, first_[brick][window]};
+  WindowPart part_of(std::size_t brick, std::size_t window, Overlap const& o) const {
+    return {bricks_[brick].windows[window].cells, o.part, first_[brick][window]};
   }
 
   Hierarchy const* hierarchy_;

@@ -77,6 +77,7 @@ ORDER = (
     "particles",
     "scene",
     "stages",
+    "space_charge",
     "io",
     "external",
     "view",

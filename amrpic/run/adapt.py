@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from ..mesh.hierarchy import Hierarchy
-from ..stages.regrid import Regridding, regrid
+from ..space_charge.tagging_rules import refined, tags_of
 from ..stages.tag import Tags, living, tagged
 from .limits import require_room
 from .memory import Share, base_boxes
 from .particle_fields import ParticleFields
 from .plan import Plan
-from .tagging_rules import apart, index_boxes, tags_of
 
 
 def make_base(plan: Plan) -> Hierarchy:
@@ -52,17 +51,11 @@ def outrun(fields: ParticleFields) -> bool:
 
 def _refined(fields: ParticleFields, hysteresis: float) -> Hierarchy:
     """Return the hierarchy that the rule asks for. Collective."""
-    hierarchy, refinement = fields.hierarchy, fields.plan.scene.refinement
-    rule, static = apart(refinement.rule)
-    tags = [] if rule is None else tags_of(rule, fields)
-    kept = [] if rule is None or hysteresis == 1 else tags_of(rule, fields, hysteresis)
-    if rule is not None:
+    made, tags = refined(fields, fields.plan.scene.refinement, hysteresis)
+    if tags is not None:
         _remark_on_tags(tags, fields)
-    settings = Regridding(refinement.levels + 1, refinement.buffer, refinement.nesting, refinement.efficiency)
-    made = regrid(hierarchy, tags, settings, index_boxes(static, hierarchy.domain), kept)
-    if made is hierarchy:
-        return hierarchy
-    _require_room(made, fields)
+    if made is not fields.hierarchy:
+        _require_room(made, fields)
     return made
 
 

@@ -24,9 +24,9 @@ from amrpic.run.initial_particles import make_particles
 from amrpic.run.particle_fields import ParticleFields
 from amrpic.run.plan import Plan
 from amrpic.run.simulation import Simulation
-from amrpic.run.tagging_rules import apart, index_boxes, tags_of
 from amrpic.scene.refinement_rules import ARGUMENTS
 from amrpic.scene.scene import Scene
+from amrpic.space_charge.tagging_rules import apart, index_boxes, tags_of
 from amrpic.stages.migrate import migrate
 from amrpic.stages.regrid import Regridding, regrid
 from amrpic.stages.tag import Tags, inside

@@ -1,13 +1,18 @@
-"""The rules of a scene applied to what the cells hold."""
+"""The rules of refinement applied to what the cells hold, and the mesh that they ask for."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 
 from ..mesh.domain import AXES, Domain
+from ..mesh.field import Field, VectorField
+from ..mesh.hierarchy import Hierarchy
+from ..particles.particles import Particles
+from ..scene.refinement import Refinement
 from ..scene.refinement_rules import (
     AllRule,
     AnyRule,
@@ -24,18 +29,49 @@ from ..scene.refinement_rules import (
 )
 from ..stages import tag
 from ..stages.diagnostics import moments
+from ..stages.regrid import Regridding, regrid
 from ..stages.tag import Tags
-from .particle_fields import ParticleFields
 
 
-def tags_of(rule: RuleKind, fields: ParticleFields, part: float = 1.0) -> Tags:
+class FieldsOnMesh(Protocol):
+    """Particles that are sorted on a hierarchy, and the fields on it that rules look at; each may be collective to ask for."""
+
+    @property
+    def particles(self) -> Particles: ...
+    @property
+    def hierarchy(self) -> Hierarchy: ...
+    @property
+    def rho(self) -> Field: ...
+    @property
+    def phi(self) -> Field: ...
+    @property
+    def efield(self) -> VectorField: ...
+    @property
+    def particles_per_cell(self) -> Field: ...
+
+
+def refined(fields: FieldsOnMesh, refinement: Refinement, hysteresis: float = 1.0) -> tuple[Hierarchy, Tags | None]:
+    """Return the hierarchy that the rule asks for, the present one if it is that; and the tags, None of static boxes alone.
+
+    What is refined already stays while the rule asks for it with thresholds down to `hysteresis` of themselves. Tags reach one
+    level up at a time. Collective.
+    """
+    rule, static = apart(refinement.rule)
+    tags = [] if rule is None else tags_of(rule, fields)
+    kept = [] if rule is None or hysteresis == 1 else tags_of(rule, fields, hysteresis)
+    settings = Regridding(refinement.levels + 1, refinement.buffer, refinement.nesting, refinement.efficiency)
+    made = regrid(fields.hierarchy, tags, settings, index_boxes(static, fields.hierarchy.domain), kept)
+    return made, None if rule is None else tags
+
+
+def tags_of(rule: RuleKind, fields: FieldsOnMesh, part: float = 1.0) -> Tags:
     """Return the cells that a rule tags if its thresholds are taken `part` as strict. Collective."""
     tags = _tags(rule, fields, part)
     levels = None if isinstance(rule, StaticRule) else rule.levels
     return tags if levels is None else tag.on_levels(tags, levels)
 
 
-def _tags(rule: RuleKind, fields: ParticleFields, part: float) -> Tags:
+def _tags(rule: RuleKind, fields: FieldsOnMesh, part: float) -> Tags:
     match rule:
         case StaticRule():
             return tag.inside(fields.hierarchy, index_boxes([rule], fields.hierarchy.domain))
@@ -71,7 +107,7 @@ def _over(at_most: float | None, part: float) -> float:
     return math.inf if at_most is None else at_most / part
 
 
-def _by_momentum(rule: MomentumRule, fields: ParticleFields, part: float) -> Tags:
+def _by_momentum(rule: MomentumRule, fields: FieldsOnMesh, part: float) -> Tags:
     particles, hierarchy = fields.particles, fields.hierarchy
     if rule.relative_to == "rms":
         beam = moments(hierarchy.comm, particles.replace(position=particles.momentum))  # momenta in place of positions

@@ -46,7 +46,9 @@ def extent_of(
     comm: Communicator, columns: Sequence[np.ndarray], charge: np.ndarray, others: Sequence[np.ndarray]
 ) -> Extent:
     """Return the extent of particles at x, y and z (k,) with charges (k,), and of other places. Collective."""
-    sums = {"count": float(len(charge)), "magnitude": float(np.abs(charge).sum())}
+    equal = len(charge) > 0 and charge.strides == (0,)
+    magnitude = len(charge) * abs(charge[0]) if equal else np.abs(charge).sum()
+    sums = {"count": float(len(charge)), "magnitude": float(magnitude)}
     largest = {}
     for axis, (column, other) in enumerate(zip(columns, others, strict=True)):
         sums[f"sum {axis}"] = float(column.sum())

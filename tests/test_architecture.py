@@ -78,6 +78,7 @@ ORDER = (
     "scene",
     "stages",
     "space_charge",
+    "hosts",
     "io",
     "external",
     "view",

@@ -72,24 +72,6 @@ class SpaceCharge:
         return cls(**{name: value for name, value in of.items() if name != "__class__"})
 
 
-def replace_space_charge(line: Any, **settings: Any) -> list[SpaceCharge]:
-    """Put elements of ours in place of those that `xfields.install_spacecharge_frozen` placed in a line, and return them.
-
-    They keep names, places and lengths, and share one engine made with `settings`.
-    """
-    charges, made = Engine(**settings), []
-    for name in line.element_names:
-        element = line[name]
-        if type(element).__name__.startswith("SpaceCharge"):
-            made.append(SpaceCharge(float(element.length), charges=charges))
-            line.element_dict[name] = made[-1]
-    if not made:
-        raise InputError(
-            "the line has no space charge elements to replace; call xfields.install_spacecharge_frozen first"
-        )
-    return made
-
-
 def _reference(values: Any) -> float:
     """Return what all particles have in common; InputError if they differ. 1 where there are none."""
     values = np.asarray(values)

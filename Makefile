@@ -80,11 +80,12 @@ $(ARM)/.packages: .venv/.packages .venv/.qemu
 	  print(*(p.replace(" ", "") for p in project["dependencies"]), "pytest", "pytest-xdist")')
 	@touch $@
 
-verify: setup build/waiting.so .venv/.docs .venv/.browser  ## accuracy against exact answers, and the long tests; PUBLISH=1: into docs/reports
+verify: setup build/waiting.so .venv/.docs .venv/.browser .venv/.hosts  ## accuracy against exact answers, and the long tests; PUBLISH=1: into docs/reports
 	@failed=0; try() { echo "$$@"; "$$@" || failed=1; }; \
 	try mpiexec -n $(RANKS) $(BIN)/amrpic verify --output $(REPORTS); \
 	try mpiexec -n $(RANKS) $(BIN)/amrpic verify --quick --pareto examples/drift.toml --pareto examples/waist.toml --output $(REPORTS); \
 	try $(SLEEPING) $(BIN)/python -m pytest -m "long or browser" --need-browser $(ARGS); \
+	try $(SLEEPING) $(BIN)/python -m pytest tests/hosts $(ARGS); \
 	exit $$failed
 
 # For machines without a network: docs/machine.md.
@@ -189,6 +190,13 @@ bench: setup .venv/.peers  ## speed next to peers and goals, into runs/bench; AR
 	@for peer in $$($(BIN)/python -c 'import tomllib; \
 	  print(*tomllib.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"]["bench"])'); do \
 	  $(BIN)/python -m pip install -q --disable-pip-version-check $$peer || echo "without $$peer"; done
+	@touch $@
+
+# Tracking codes whose elements amrpic.hosts has, as far as they can be had here; tests skip the others by name.
+.venv/.hosts: pyproject.toml .venv/.packages
+	@for host in $$($(BIN)/python -c 'import tomllib; \
+	  print(*tomllib.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"]["hosts"])'); do \
+	  $(BIN)/python -m pip install -q --disable-pip-version-check $$host || echo "without $$host"; done
 	@touch $@
 
 # A module with sanitizers and without the pool of memory, beside the ordinary one; sitecustomize.py lets Python find it first.

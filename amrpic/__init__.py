@@ -66,6 +66,7 @@ from .scene.refinement_rules import (  # noqa: E402
 from .scene.scene import Scene  # noqa: E402
 from .scene.solver_options import SolverOptions  # noqa: E402
 from .scene.thermal_bunch import ThermalBunch  # noqa: E402
+from .space_charge.engine import SpaceCharge  # noqa: E402
 from .stages.poisson import PoissonSolver, SolveReport  # noqa: E402
 
 open = Results.open
@@ -120,6 +121,7 @@ __all__ = [
     "SolveReport",
     "SolverError",
     "SolverOptions",
+    "SpaceCharge",
     "Species",
     "SpeciesTable",
     "SphereBunch",

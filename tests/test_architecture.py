@@ -77,6 +77,8 @@ ORDER = (
     "particles",
     "scene",
     "stages",
+    "space_charge",
+    "hosts",
     "io",
     "external",
     "view",
@@ -226,9 +228,7 @@ def test_what_is_compiled_once_knows_nothing_of_instruction_sets():
 LOOP_OVER_CELLS = re.compile(r"for_each_cell|for_rows|for \(\w+(::\w+)? (row|r|n|i) = ")
 
 
-@pytest.mark.parametrize(
-    "name", ["operators/sparse_matrix.cpp", "solver/multigrid.cpp", "solver/bicgstab.cpp"]
-)
+@pytest.mark.parametrize("name", ["operators/sparse_matrix.cpp", "solver/multigrid.cpp", "solver/bicgstab.cpp"])
 def test_a_cycle_on_compressed_rows_loops_over_no_cells_on_the_host(name):
     assert not LOOP_OVER_CELLS.search((ROOT / "native" / name).read_text())
 

@@ -8,7 +8,7 @@ from mpi4py import MPI
 from ..mesh.hierarchy import Hierarchy
 from ..particles.particles import Particles
 from ..scene.scene import Scene
-from ..stages.regrid import Regridding, regrid
+from ..space_charge.tagging_rules import refined, tags_of
 from ..stages.tag import Tags, living, tagged
 from .limits import require_room
 from .memory import Share, base_boxes
@@ -17,7 +17,6 @@ from .quantities import Quantities
 from .setup import Setup
 from .solution import Solution
 from .state import State
-from .tagging_rules import apart, index_boxes, tags_of
 
 
 def make_base(comm: MPI.Comm, scene: Scene) -> Hierarchy:
@@ -77,17 +76,12 @@ def _outrun(quantities: Quantities, setup: Setup) -> bool:
 
 def _refined(quantities: Quantities, setup: Setup, hysteresis: float) -> Hierarchy:
     """Return the hierarchy that the rule asks for. Collective."""
-    hierarchy, refinement = quantities.hierarchy, setup.scene.refinement
-    rule, static = apart(refinement.rule)
-    tags = [] if rule is None else tags_of(rule, quantities)
-    kept = [] if rule is None or hysteresis == 1 else tags_of(rule, quantities, hysteresis)
-    if rule is not None:
+    hierarchy, tags = refined(quantities, setup.scene.refinement, hysteresis)
+    if tags is not None:
         _remark_on_tags(tags, quantities, setup)
-    settings = Regridding(refinement.levels + 1, refinement.buffer, refinement.nesting, refinement.efficiency)
-    refined = regrid(hierarchy, tags, settings, index_boxes(static, hierarchy.domain), kept)
-    if refined is not hierarchy:
-        _require_room(refined, quantities.particles, setup)
-    return refined
+    if hierarchy is not quantities.hierarchy:
+        _require_room(hierarchy, quantities.particles, setup)
+    return hierarchy
 
 
 def _require_room(hierarchy: Hierarchy, particles: Particles, setup: Setup) -> None:

@@ -17,12 +17,12 @@ from ..mesh.boxes import cells_of
 from ..mesh.hierarchy import Hierarchy
 from ..particles.sampling import draw
 from ..pic.quantities import Quantities
-from ..pic.tagging_rules import apart, index_boxes, tags_of
 from ..scene.bunch_shapes import GaussianBunch
 from ..scene.bunches import Bunch, LatticeBunch, Train
 from ..scene.motion import RandomWalk
 from ..scene.refinement_rules import ChargeDensityRule, Combination, ParticlesRule, RuleKind
 from ..scene.scene import Scene
+from ..space_charge.tagging_rules import apart, index_boxes, tags_of
 from ..stages.regrid import Regridding, regrid
 from ..stages.tag import Tags
 

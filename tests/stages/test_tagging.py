@@ -26,9 +26,9 @@ from amrpic.pic.meshed import MeshedParticles
 from amrpic.pic.quantities import Quantities
 from amrpic.pic.setup import Setup, set_up
 from amrpic.pic.simulation import Simulation
-from amrpic.pic.tagging_rules import apart, index_boxes, tags_of
 from amrpic.scene.refinement_rules import ARGUMENTS
 from amrpic.scene.scene import Scene
+from amrpic.space_charge.tagging_rules import apart, index_boxes, tags_of
 from amrpic.stages.migrate import migrate
 from amrpic.stages.regrid import Regridding, regrid
 from amrpic.stages.tag import Tags, inside

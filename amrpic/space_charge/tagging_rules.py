@@ -1,4 +1,4 @@
-"""The rules of a scene applied to what the cells hold."""
+"""The rules of refinement applied to what the cells hold, and the mesh that they ask for."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..mesh.domain import AXES, Domain
+from ..mesh.hierarchy import Hierarchy
+from ..scene.refinement import Refinement
 from ..scene.refinement_rules import (
     AllRule,
     AnyRule,
@@ -24,18 +26,35 @@ from ..scene.refinement_rules import (
 )
 from ..stages import tag
 from ..stages.diagnostics import moments
+from ..stages.regrid import Regridding, regrid
 from ..stages.tag import Tags
-from .quantities import Quantities
+from .quantities import QuantitiesOnMesh
 
 
-def tags_of(rule: RuleKind, quantities: Quantities, part: float = 1.0) -> Tags:
+def refined(
+    quantities: QuantitiesOnMesh, refinement: Refinement, hysteresis: float = 1.0
+) -> tuple[Hierarchy, Tags | None]:
+    """Return the hierarchy that the rule asks for, the present one if it is that; and the tags, None of static boxes alone.
+
+    What is refined already stays while the rule asks for it with thresholds down to `hysteresis` of themselves. Tags reach one
+    level up at a time. Collective.
+    """
+    rule, static = apart(refinement.rule)
+    tags = [] if rule is None else tags_of(rule, quantities)
+    kept = [] if rule is None or hysteresis == 1 else tags_of(rule, quantities, hysteresis)
+    settings = Regridding(refinement.levels + 1, refinement.buffer, refinement.nesting, refinement.efficiency)
+    hierarchy = regrid(quantities.hierarchy, tags, settings, index_boxes(static, quantities.hierarchy.domain), kept)
+    return hierarchy, None if rule is None else tags
+
+
+def tags_of(rule: RuleKind, quantities: QuantitiesOnMesh, part: float = 1.0) -> Tags:
     """Return the cells that a rule tags if its thresholds are taken `part` as strict. Collective."""
     tags = _tags(rule, quantities, part)
     levels = None if isinstance(rule, StaticRule) else rule.levels
     return tags if levels is None else tag.on_levels(tags, levels)
 
 
-def _tags(rule: RuleKind, quantities: Quantities, part: float) -> Tags:
+def _tags(rule: RuleKind, quantities: QuantitiesOnMesh, part: float) -> Tags:
     match rule:
         case StaticRule():
             return tag.inside(quantities.hierarchy, index_boxes([rule], quantities.hierarchy.domain))
@@ -47,7 +66,7 @@ def _tags(rule: RuleKind, quantities: Quantities, part: float) -> Tags:
             at_least = part * (rule.at_least or 0)
             return tag.between(quantities["particles_per_cell"], at_least, _over(rule.at_most, part))
         case CallableRule():
-            values_of = {name: quantities[name] for name in Quantities.NAMES if name in rule.arguments}
+            values_of = {name: quantities[name] for name in QuantitiesOnMesh.NAMES if name in rule.arguments}
             return tag.by_function(
                 quantities.hierarchy, rule.function, rule.name, rule.arguments, {**values_of, "hysteresis": part}
             )
@@ -71,7 +90,7 @@ def _over(at_most: float | None, part: float) -> float:
     return math.inf if at_most is None else at_most / part
 
 
-def _by_momentum(rule: MomentumRule, quantities: Quantities, part: float) -> Tags:
+def _by_momentum(rule: MomentumRule, quantities: QuantitiesOnMesh, part: float) -> Tags:
     particles, hierarchy = quantities.particles, quantities.hierarchy
     if rule.relative_to == "rms":
         beam = moments(hierarchy.comm, particles.replace(position=particles.momentum))  # momenta in place of positions

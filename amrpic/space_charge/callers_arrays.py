@@ -1,0 +1,127 @@
+"""The arrays that a caller gives: numbers that kernels can take, or one sentence on what is wrong with them. Local."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError
+
+FARTHEST = 1e30  # m: beyond it products of lengths leave the range of numbers
+MOST_CHARGE = 1e30  # C, in one macroparticle
+NAMES = ("x", "y", "z")
+
+
+@dataclass(frozen=True)
+class Arrays:
+    """A caller's particles or places on this rank: float64 arrays (n,) of any stride, which are the caller's own memory
+    where they came as float64."""
+
+    places: tuple[np.ndarray, np.ndarray, np.ndarray]  # m
+    charge: np.ndarray | float  # C, one for all or (n,)
+    alive: np.ndarray | None = None  # bool (n,), None if all are
+
+    def __len__(self) -> int:
+        return len(self.places[0])
+
+
+def particles(x: Any, y: Any, z: Any, charge: Any, alive: Any = None) -> Arrays:
+    """Return the arrays of particles. InputError for those that make none."""
+    places = _columns((x, y, z), NAMES)
+    mask = None if alive is None else _mask(alive, len(places[0]))
+    _require_finite(places, NAMES, mask)
+    value = number_or_column(charge, "charge", len(places[0]))
+    living = np.atleast_1d(value if mask is None or isinstance(value, float) else value[mask])
+    if not (len(living) == 0 or max(living.max(), -living.min()) <= MOST_CHARGE):
+        raise InputError(
+            f"charge holds values that are not finite or beyond {MOST_CHARGE:g} C; correct them, or leave these particles out "
+            "by alive"
+        )
+    return Arrays(places, value, mask)
+
+
+def other_places(at: Any) -> Arrays:
+    """Return the arrays of places: three arrays (m,), or one (m, 3). InputError for those that make none."""
+    if isinstance(at, np.ndarray) and at.ndim == 2:
+        at = at.T
+    if not isinstance(at, Sequence | np.ndarray) or len(at) != 3:
+        raise InputError("at is neither three arrays nor one of shape (m, 3); give x, y and z of the places in m")
+    names = tuple(f"{name} of at" for name in NAMES)
+    places = _columns(at, names)
+    _require_finite(places, names, None)
+    return Arrays(places, 0.0)
+
+
+def number(value: Any, name: str, least: float = -np.inf, above: float = -np.inf) -> float:
+    """Return one finite number; InputError for anything else, and below `least` or not above `above`."""
+    found = _reals(value, name)
+    if found.ndim != 0 or not np.isfinite(found):
+        raise InputError(f"{name} is {_brief(value)}; give one finite number")
+    if found < least or not found > above:
+        raise InputError(
+            f"{name} is {float(found)}; give {f'at least {least:g}' if found < least else f'more than {above:g}'}"
+        )
+    return float(found)
+
+
+def number_or_column(value: Any, name: str, count: int) -> np.ndarray | float:
+    """Return one number, or one for each of so many particles. InputError for other shapes."""
+    found = _reals(value, name)
+    if found.ndim == 0:
+        return float(found)
+    if found.shape != (count,):
+        raise InputError(f"{name} has the shape {found.shape}, but x ({count},); give one number, or one per particle")
+    return found
+
+
+def _columns(values: Sequence[Any] | np.ndarray, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    x, y, z = (_reals(value, name) for value, name in zip(values, names, strict=True))
+    for column, name in zip((x, y, z), names, strict=True):
+        if column.ndim != 1 or len(column) != len(x):
+            raise InputError(
+                f"{name} has the shape {column.shape}, {names[0]} {x.shape}; give arrays of one dimension and equal length"
+            )
+    return x, y, z
+
+
+def _reals(value: Any, name: str) -> np.ndarray:
+    """Return the values in double precision: themselves, or a copy where they came in another."""
+    if isinstance(value, np.ma.MaskedArray):
+        raise InputError(f"{name} is a masked array; give its data, and alive = ~mask")
+    try:
+        found = np.asarray(value)
+    except Exception as refused:  # ragged lists, arrays on other devices
+        raise InputError(f"{name} is no array of numbers ({type(refused).__name__}); give a NumPy array") from None
+    if found.dtype.kind not in "fiu":
+        raise InputError(f"{name} holds values of type {found.dtype}; give real numbers")
+    return found.astype(np.float64, copy=False)
+
+
+def _mask(alive: Any, count: int) -> np.ndarray | None:
+    found = np.asarray(alive)
+    if found.dtype != bool or found.shape != (count,):
+        raise InputError(
+            f"alive has the shape {found.shape} and type {found.dtype}; give one bool per particle, ({count},)"
+        )
+    return None if found.all() else found
+
+
+def _require_finite(places: Sequence[np.ndarray], names: Sequence[str], alive: np.ndarray | None) -> None:
+    for column, name in zip(places, names, strict=True):
+        values = column if alive is None else column[alive]
+        with np.errstate(invalid="ignore"):
+            if len(values) == 0 or max(values.max(), -values.min()) <= FARTHEST:
+                continue
+        bad = int(np.count_nonzero(~(np.abs(values) <= FARTHEST)))
+        raise InputError(
+            f"{name} has {bad} values that are not finite or beyond {FARTHEST:g} m; correct them, or leave these particles out "
+            "by alive"
+        )
+
+
+def _brief(value: Any) -> str:
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 40 else f"{text[:37]}..."

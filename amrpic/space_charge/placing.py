@@ -1,0 +1,175 @@
+"""Where the mesh lies: round the bunch, in coordinates that move with it and in which it is at rest."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import InputError
+from ..mesh.domain import AXES, Domain
+from ..parallel import Communicator, global_sums_and_largest
+from ..particles.arrays import empty_columns
+from ..particles.frame import SLOW
+
+ROOM = 0.1  # of the extent, beside it at either side
+LEAST_PART = 0.5  # of the extent that the mesh was made for, below which it is made anew at a regrid
+FLATTEST = 1e-3  # least extent of the mesh along an axis over the largest
+NO_SIZE = 1e-9  # extent over the largest, below which it is rounding
+POINT = (
+    1e-6  # extent over the distance from the origin of particles that all lie at one place, and m where that is zero
+)
+ALIKE = 1.5  # times as wide as others: cells along an axis that become as wide as these, so that most are cubes
+CELLS, LONG = 32, 2.0  # along an axis; twice as many where cells would be so many times longer than the shortest
+STEPS = 64.0  # parts of the extent by which the mesh moves along, so that rounding of the mean moves nothing
+PER_SIZE = 8.0  # cells of the finest level per rms size
+REACH = 8.0  # rms sizes that the finest level is wide, about
+MOST_LEVELS = 8
+PER_PARTICLE, ANYHOW = 4, 300_000  # cells of the finest level that `levels_for` allows
+
+
+@dataclass(frozen=True)
+class Extent:
+    """How many particles and other places there are on all ranks, and where; in m."""
+
+    count: int  # of particles
+    mean: np.ndarray  # (3,) of particles
+    lower: np.ndarray  # (3,) of particles
+    upper: np.ndarray
+    reach: tuple[np.ndarray, np.ndarray]  # lower and upper ends of particles and other places
+    magnitude: float  # Σ |q|, C
+
+
+def extent_of(
+    comm: Communicator, columns: Sequence[np.ndarray], charge: np.ndarray, others: Sequence[np.ndarray]
+) -> Extent:
+    """Return the extent of particles at x, y and z (k,) with charges (k,), and of other places. Collective."""
+    equal = len(charge) > 0 and charge.strides == (0,)
+    magnitude = len(charge) * abs(charge[0]) if equal else np.abs(charge).sum()
+    sums = {"count": float(len(charge)), "magnitude": float(magnitude)}
+    largest = {}
+    for axis, (column, other) in enumerate(zip(columns, others, strict=True)):
+        sums[f"sum {axis}"] = float(column.sum())
+        for what, values in (("", column), ("other", other)):
+            largest[f"{what} lower {axis}"] = -float(values.min(initial=np.inf))
+            largest[f"{what} upper {axis}"] = float(values.max(initial=-np.inf))
+    found = global_sums_and_largest(comm, sums, largest)
+
+    def three(name: str) -> np.ndarray:
+        return np.array([found[f"{name} {axis}"] for axis in range(3)])
+
+    count, lower, upper = int(found["count"]), -three(" lower"), three(" upper")
+    reach = np.minimum(lower, -three("other lower")), np.maximum(upper, three("other upper"))
+    return Extent(count, three("sum") / max(count, 1), lower, upper, reach, found["magnitude"])
+
+
+def sizes_of(comm: Communicator, position: np.ndarray, charge: np.ndarray, extent: Extent) -> tuple[float, np.ndarray]:
+    """Return how many equal particles would scatter as particles at (k, 3) do, and the rms sizes (3,) in m. Collective."""
+    weight = np.abs(charge) / (extent.magnitude or 1.0)
+    sums = [float(weight @ weight), *position.sum(axis=0), *np.einsum("kd,kd->d", position, position)]
+    square, *moments = comm.allreduce(np.array(sums)).tolist()
+    mean, squares = np.array(moments).reshape(2, 3) / max(extent.count, 1)
+    return (1.0 / square if square > 0 else 0.0), np.sqrt(np.maximum(squares - mean**2, 0.0))
+
+
+class Placing:
+    """The mesh's coordinates: x, y and γz from a centre that follows the bunch, or, in a domain that is given, from its own.
+
+    In them charge that moves along z with γ is at rest, so its field is electrostatic.
+    """
+
+    def __init__(self, given: Domain | None, cells: tuple[int, int, int] | None) -> None:
+        self._given, self._cells = given, cells
+        self._extent = self._room = np.zeros(3)  # that the domain was made for, and that it is made for
+        self.domain: Domain | None = None
+        self.centre, self.gamma = np.zeros(3), 1.0
+
+    @property
+    def free(self) -> bool:
+        """Whether there are no walls and periods, so that a particle alone feels nothing."""
+        return self._given is None
+
+    def follow(self, extent: Extent, gamma: float, tighten: bool) -> bool:
+        """Move along with particles; return whether the domain is another one now. Local, the same on all ranks.
+
+        `tighten`: also where the bunch has become much smaller.
+        """
+        before = self.domain
+        if self._given is not None:
+            if before is None or gamma != self.gamma:
+                self.domain = _at_rest(self._given, gamma)
+        elif before is None or not self._serves(before, extent, gamma, tighten):
+            self.domain = self._around(extent, gamma)
+        else:
+            self.centre = self._centre(extent)
+        self.gamma = gamma
+        return self.domain is not before
+
+    def positions(self, columns: Sequence[np.ndarray]) -> np.ndarray:
+        """Return x, y and z (k,) in m as positions (k, 3) in the mesh's coordinates."""
+        out = empty_columns(len(columns[0]))
+        for target, column, centre in zip(out.T, columns, self.centre, strict=True):
+            np.subtract(column, centre, out=target)
+        if self.gamma != 1:
+            out[:, 2] *= self.gamma
+        return out
+
+    def _scale(self, gamma: float) -> np.ndarray:
+        return np.array([1.0, 1.0, gamma])
+
+    def _centre(self, extent: Extent) -> np.ndarray:
+        """Return the mean, rounded so that rounding errors of it do not count."""
+        step = 2.0 ** np.floor(np.log2(self._room / self._scale(self.gamma) / STEPS))
+        return np.rint(extent.mean / step) * step
+
+    def _serves(self, domain: Domain, extent: Extent, gamma: float, tighten: bool) -> bool:
+        centre, scale = self._centre(extent), self._scale(gamma)
+        lower, upper = ((end - centre) * scale for end in extent.reach)
+        inside = (lower >= domain.lower + domain.spacing).all() and (upper <= domain.upper - domain.spacing).all()
+        return bool(inside and not (tighten and (upper - lower < LEAST_PART * self._extent).any()))
+
+    def _around(self, extent: Extent, gamma: float) -> Domain:
+        scale = self._scale(gamma)
+        lower, upper = (end * scale for end in extent.reach)
+        largest = float((upper - lower).max()) or POINT * (float(np.abs(lower).max()) or 1.0)
+        self._extent, self.gamma = upper - lower, gamma
+        thin = self._extent <= NO_SIZE * largest  # nothing says how fine: as along the others
+        room = np.where(thin, largest, np.maximum(self._extent, FLATTEST * largest))
+        cells = np.array(self._cells or np.where(room > LONG * room.min(), 2 * CELLS, CELLS))
+        widths = room / cells
+        self._room = cells * [widths[(widths >= width) & (widths <= ALIKE * width)].max() for width in widths]
+        self.centre = self._centre(extent)
+        middle = (lower + upper) / 2 - self.centre * scale
+        # a step that the mesh moves along by, and two cells, which clouds need between particles and faces
+        half = self._room * (0.5 + ROOM + 1 / STEPS) * (1 + 4 / cells.min())
+        return Domain(tuple(middle - half), tuple(middle + half), tuple(cells.tolist()))
+
+
+def _at_rest(domain: Domain, gamma: float) -> Domain:
+    """Return a domain in coordinates in which charge that moves along z is at rest. InputError where no such walls are."""
+    across = set(domain.boundary[2]) - {"open", "periodic"}
+    if across and 1 - gamma**-2 > SLOW:
+        raise InputError(
+            f"the domain has a {across.pop()} face across z, along which the particles move with γ = {gamma:g}: images in it "
+            "move against them, which Simulation knows and SpaceCharge does not; make it open"
+        )
+    scale = (1.0, 1.0, gamma)
+    lower, upper = (tuple(np.multiply(end, scale)) for end in (domain.lower, domain.upper))
+    return Domain(lower, upper, domain.cells, domain.boundary)
+
+
+def levels_for(domain: Domain, rms: np.ndarray, count: int) -> int:
+    """Return how many refined levels give a bunch with these rms sizes (3,) in m cells that are fine enough for its field, and
+    no more of them than its particles fill."""
+    wide = [axis for axis in range(len(AXES)) if rms[axis] > 0]
+    missing = max((PER_SIZE * domain.spacing[axis] / rms[axis] for axis in wide), default=1.0)
+    levels = min(max(math.ceil(math.log2(missing)), 0), MOST_LEVELS)
+
+    def cells(levels: int) -> float:
+        return float(np.prod(REACH * rms / domain.spacing * 2**levels + 8))
+
+    while levels > 0 and cells(levels) > max(PER_PARTICLE * count, ANYHOW):
+        levels -= 1
+    return levels

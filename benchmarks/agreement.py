@@ -1,25 +1,24 @@
 """Solve on the meshes of the verification by both backends and measure how far their potentials and residuals are apart.
 
 Charge, and the potential whose residual both take, are rough, so that every row of every operator counts. A worker of
-benchmarks/bench.py.
+`bench`.
 """
 
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
 import numpy as np
-from cases import problem
-from measuring import BACKENDS, Record, timed, write
 from mpi4py import MPI
 
 import amrpic
 from amrpic.stages.poisson import PoissonSolver
-from amrpic.verify.meshes import MESHES, Mesh, around
+from cases import problem
+from exact.meshes import MESHES, Mesh, around
+from measuring import BACKENDS, Record, timed, write
 
 TOLERANCE = 1e-11
 BOUNDARIES = ("dirichlet", "neumann", "open")
@@ -95,7 +94,3 @@ def main() -> int:
     if comm.rank == 0:
         write(given.output, records)
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

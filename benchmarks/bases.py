@@ -1,4 +1,4 @@
-"""Time solves on bases of any extent beside those of the nearest 2^k or 3·2^k, in CPU time. A worker of benchmarks/bench.py.
+"""Time solves on bases of any extent beside those of the nearest 2^k or 3·2^k, in CPU time. A worker of `bench`.
 
 Each base is measured in a process of its own, in turns with its reference; one that takes too long is skipped, and the table
 says so.
@@ -9,18 +9,17 @@ from __future__ import annotations
 import argparse
 import math
 import statistics
-import sys
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 
-from cases import problem
-from measuring import Record, in_turns, launch_or_skip, timed, write
 from mpi4py import MPI
-from solving import FULL
 
 from amrpic.errors import AmrpicError
 from amrpic.stages.poisson import PoissonSolver
+from cases import problem
+from measuring import Record, in_turns, launch_or_skip, timed, write
+from solving import FULL
 
 BASES = (72, 81, 88, 96, 100, 120, 125, 127, 144, 160, 176, 192, 200, 250, 251)
 SMOOTH = sorted({factor << k for factor in (1, 3) for k in range(3, 10)})
@@ -106,14 +105,10 @@ def main() -> int:
                 records.append(Record(base_name(n), [math.nan], facts={"skipped": f"refused: {refused}"}))
             continue
         arguments = ["--alone", "--bases", str(n), "--runs", str(given.runs), "--limit", str(given.limit)]
-        records += launch_or_skip(Path(__file__), arguments, base_name(n), given.limit)
+        records += launch_or_skip("bases", arguments, base_name(n), given.limit)
     if not given.alone:
         known = {record.name: record for record in records}
         for row in rows(known):
             print("  ".join(row), flush=True)
     write(given.output, records)
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -29,17 +29,16 @@ from goals import goals, printed, table
 from growth import laws, rows
 from measuring import BACKEND, BACKENDS, ROOT, Record, launch, share_of_core, write
 
-HERE = Path(__file__).parent
 MEMORY_CASES = ("static 128", "bunch 64")
 QUIET = 0.9  # of a core, below which a run is reported as disturbed
 
 
 @dataclass(frozen=True)
 class Part:
-    """A worker: its script, on how many ranks, with which arguments."""
+    """A worker, on how many ranks, with which arguments."""
 
     name: str
-    script: str
+    script: str  # `python benchmarks SCRIPT`
     ranks: int  # 0: not under mpiexec, it starts ranks of its own
     arguments: tuple[str, ...]
     isa: str = ""  # the instruction set of the kernels, if not the best one
@@ -55,24 +54,24 @@ def parts(backend: str, quick: bool, runs: int) -> list[Part]:
     shapes = () if quick else ("nearest-grid-point", "triangular-shaped-cloud")
     memory, rank_counts, walls = (("bunch 64",), (1, 2), ()) if quick else (MEMORY_CASES, (1, 2, 3, 4), (1,))
     return [
-        *(Part("solver", "solving.py", ranks, (*options, *small)) for ranks in rank_counts),
-        *(Part("memory", "solving.py", 1, (*options, "--memory", case)) for case in memory),
-        Part("memory", "particles.py", 1, ("--memory", "--particles", "1e6")),
-        Part("peers", "peers.py", 0, (*options, *peers)),
-        Part("particles", "particles.py", 1, (*repeats, "--particles", *counts, "--shape", "cloud-in-cell")),
-        *(Part("particles", "particles.py", 1, (*repeats, "--particles", "1e6", "--shape", shape)) for shape in shapes),
-        Part("particles", "particles.py", 1, (*repeats, "--by-kokkos"), isa="v3" if "v3" in instructions() else ""),
+        *(Part("solver", "solving", ranks, (*options, *small)) for ranks in rank_counts),
+        *(Part("memory", "solving", 1, (*options, "--memory", case)) for case in memory),
+        Part("memory", "particles", 1, ("--memory", "--particles", "1e6")),
+        Part("peers", "peers", 0, (*options, *peers)),
+        Part("particles", "particles", 1, (*repeats, "--particles", *counts, "--shape", "cloud-in-cell")),
+        *(Part("particles", "particles", 1, (*repeats, "--particles", "1e6", "--shape", shape)) for shape in shapes),
+        Part("particles", "particles", 1, (*repeats, "--by-kokkos"), isa="v3" if "v3" in instructions() else ""),
         *(
-            Part("step", "pic_step.py", ranks, (*options, *(("--walls", "dirichlet") if quick else ())))
+            Part("step", "pic_step", ranks, (*options, *(("--walls", "dirichlet") if quick else ())))
             for ranks in (1, 2)
         ),
-        *(Part("walls", "walls.py", ranks, options) for ranks in walls),
-        Part("orders", "orders.py", 1, ("--cells", "64") if quick else repeats_of_gamma),
-        Part("bases", "bases.py", 0, ("--bases", "72", "100", "--runs", "3") if quick else ()),
-        *(() if quick else (Part("gamma", "gamma.py", 0, repeats_of_gamma),)),
-        Part("least squares", "least_squares.py", 1, repeats_of_gamma),
-        *(Part("points", "points.py", ranks, (*repeats_of_gamma, *small)) for ranks in (1, 2)),
-        Part("agreement", "agreement.py", 1, small),
+        *(Part("walls", "walls", ranks, options) for ranks in walls),
+        Part("orders", "orders", 1, ("--cells", "64") if quick else repeats_of_gamma),
+        Part("bases", "bases", 0, ("--bases", "72", "100", "--runs", "3") if quick else ()),
+        *(() if quick else (Part("gamma", "gamma", 0, repeats_of_gamma),)),
+        Part("least squares", "least_squares", 1, repeats_of_gamma),
+        *(Part("points", "points", ranks, (*repeats_of_gamma, *small)) for ranks in (1, 2)),
+        Part("agreement", "agreement", 1, small),
     ]
 
 
@@ -83,7 +82,7 @@ def measure(chosen: Sequence[Part]) -> tuple[list[Record], list[str]]:
     for part in chosen:
         start = time.perf_counter()
         try:
-            records += launch(HERE / part.script, part.ranks, part.arguments, isa=part.isa)
+            records += launch(part.script, part.ranks, part.arguments, isa=part.isa)
         except subprocess.CalledProcessError as ended:
             failed.append(
                 f"{part.script} {' '.join(part.arguments)} on {part.ranks} ranks ended with {ended.returncode}"
@@ -155,7 +154,3 @@ def main() -> int:
     for sentence in failed:
         print(sentence, file=sys.stderr)
     return 1 if failed else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,6 +1,6 @@
 """The kernels of `solver.backend = "kokkos"` on a graphics card, beside the tuned loops on one core of its machine.
 
-`python benchmarks/card.py PART`, one of `first` (the smallest solve, deposit, gather and push, compared with those of the
+`python benchmarks card PART`, one of `first` (the smallest solve, deposit, gather and push, compared with those of the
 host), `copy` (bandwidth of a copy in the card's memory) and `times` (solves and particle stages; wall time, the median of
 five). Each line is printed as soon as it is known. docker/card/run calls all of them.
 """
@@ -17,13 +17,13 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from cases import Problem, problem
 from mpi4py import MPI
-from particles import BY_KOKKOS, stages
 
 import amrpic
 from amrpic import _native
 from amrpic.stages.poisson import PoissonSolver
+from cases import Problem, problem
+from particles import BY_KOKKOS, stages
 
 COPIED = 1 << 30  # bytes
 SOLVES = (("static 64", 24), ("static 64", 64), ("static 128", 64), ("uniform 256", 256))
@@ -130,7 +130,3 @@ def main() -> None:
     if given.part == "first":
         sys.exit(not first(given.cells))
     copy() if given.part == "copy" else times()
-
-
-if __name__ == "__main__":
-    main()

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
+
 from cases import FAMILIES
 from goals import Goal, goals
 from goals import figure as figure_of
 from growth import Law, laws
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter
 from measuring import Record
 from peers import peer_name
 from reference import MLMG

@@ -1,4 +1,4 @@
-"""Tell which of two builds is faster: python benchmarks/compare.py OLD NEW [--cases ...] [--turns 11] [--minutes 30]
+"""Tell which of two builds is faster: python benchmarks compare OLD NEW [--cases ...] [--turns 11] [--minutes 30]
 
 OLD and NEW are git revisions, working trees, or folders with a built package, and may end in environment variables:
 `main HEAD`, `../other .`, `. .@AMRPIC_ISA=v3`. Each is built in a folder of its own with the same flags. The two take turns,
@@ -20,7 +20,6 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from statistics import NormalDist, median
 
 import turn
@@ -126,13 +125,12 @@ class Case:
 
 def take_turns(old: Build, new: Build, cases: Sequence[Case], turns: int, minutes: float, threshold: float) -> None:
     """Let the builds take turns in all cases, `turns` times, and then in those that are not decided, until time is over."""
-    script = Path(turn.__file__)
     end = time.monotonic() + 60 * minutes
     done = 0
     left = list(cases)
     while left and time.monotonic() < end:
         for case in left:
-            one, other = (json.loads(side.run(script, "--case", case.name).splitlines()[-1]) for side in (old, new))
+            one, other = (json.loads(side.run("turn", "--case", case.name).splitlines()[-1]) for side in (old, new))
             case.add(one["cpu"], other["cpu"])
             if time.monotonic() > end:
                 break
@@ -170,7 +168,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
     rows = table([case for case in cases if case.times], threshold)
     print(printed(rows))
     return 1 if any(row[-1].startswith("slower") for row in rows) else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

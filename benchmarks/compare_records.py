@@ -1,6 +1,6 @@
-"""Compare two runs of `make bench` that were recorded: python benchmarks/compare_records.py BEFORE.json AFTER.json
+"""Compare two runs of `make bench` that were recorded: python benchmarks compare_records BEFORE.json AFTER.json
 
-They were made at different times, so differences below a tenth are not decided; benchmarks/compare.py, which runs two builds
+They were made at different times, so differences below a tenth are not decided; `compare`, which runs two builds
 in turns, decides 3 %.
 
 What was timed beside a work unit in both is compared in work units, so that a slower machine is not slower code; the rest
@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -116,7 +115,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
     alone = len({record.name for record in before} ^ {record.name for record in after})
     print(f"{slower} slower, {faster} faster, {len(found) - slower - faster} as before; {alone} in one run only")
     return 1 if slower else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

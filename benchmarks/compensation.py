@@ -1,4 +1,4 @@
-"""What compensated clouds take of a step: `python benchmarks/compensation.py`, on one rank.
+"""What compensated clouds take of a step: `python benchmarks compensation`, on one rank.
 
 The step is one of leapfrog with the bunches and the mesh of examples/three_bunches.toml, from the same state each time. The
 choices take turns. The least of the turns counts, since what disturbs a run can only make it longer.
@@ -7,13 +7,11 @@ choices take turns. The least of the turns counts, since what disturbs a run can
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import get_args
 
-from measuring import CPU_TIME, ROOT, Record, timed, write
 from mpi4py import MPI
 
 from amrpic.particles.clouds import SHAPES, CompensationKind, Shape
@@ -21,6 +19,7 @@ from amrpic.run.plan import Plan
 from amrpic.run.state import State
 from amrpic.run.step import advance, begin
 from amrpic.scene.scene import Scene
+from measuring import CPU_TIME, ROOT, Record, timed, write
 
 KINDS: tuple[CompensationKind, ...] = get_args(CompensationKind)
 CELLS = 144  # of the base along an axis, as in the example
@@ -84,7 +83,3 @@ def main() -> int:
     if given.output is not None:
         write(given.output, records)
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,4 +1,4 @@
-"""Time solves in the rest frame of fast bunches, on cells γ times as long, beside cubes on the same mesh. A worker of bench.py.
+"""Time solves in the rest frame of fast bunches, on cells γ times as long, beside cubes on the same mesh. A worker of `bench`.
 
 64³ cells and one refined level of most of the domain, or three nested ones; grounded and open walls; boxes of several sizes.
 Each is measured in a process of its own, for its memory; one that takes too long, or fails, is skipped, and the table says so.
@@ -10,20 +10,19 @@ import argparse
 import itertools
 import math
 import statistics
-import sys
 from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from measuring import Record, in_turns, launch_or_skip, reset_peak, resident, timed, write
 from mpi4py import MPI
-from solving import FULL
 
 import amrpic
 from amrpic.stages.poisson import PoissonSolver
-from amrpic.verify.sources import EPS0
+from exact.sources import EPS0
+from measuring import Record, in_turns, launch_or_skip, reset_peak, resident, timed, write
+from solving import FULL
 
 GAMMAS = (10, 20, 50, 100)
 MESHES = {  # levels beyond the base, by the first and the last cell along each axis
@@ -135,13 +134,9 @@ def main() -> int:
             continue
         options = zip(("--gammas", "--meshes", "--walls", "--boxes"), map(str, case), strict=True)
         arguments = ["--alone", *itertools.chain(*options), "--runs", str(given.runs), "--limit", str(given.limit)]
-        records += launch_or_skip(Path(__file__), arguments, gamma_name(*case), given.limit)
+        records += launch_or_skip("gamma", arguments, gamma_name(*case), given.limit)
     if not given.alone:
         for row in rows({record.name: record for record in records}):
             print("  ".join(row), flush=True)
     write(given.output, records)
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

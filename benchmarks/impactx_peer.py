@@ -1,4 +1,4 @@
-"""Time ImpactX's steps with space charge: a ball of charge in free flight, one refined level. A worker of pic_step.py.
+"""Time ImpactX's steps with space charge: a ball of charge in free flight, one refined level. A worker of `pic_step`.
 
 It is sequential, from PyPI's `impactx-noacc`. Each step: half a drift, transformation to the frame of the bunch, boxes fitted
 to it, redistribution, deposition, the solve (AMReX's multigrid, level by level), the field, gather and kick, half a drift.
@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -70,7 +69,3 @@ def main() -> int:
         taken = steps(given.cells, given.particles, given.runs, given.each, given.solver, given.tolerance)
     output.write_text(json.dumps(taken), encoding="utf-8")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,4 +1,4 @@
-"""Time stencils of moving least squares beside LAPACK's dgels, one call per target. A worker of bench.py.
+"""Time stencils of moving least squares beside LAPACK's dgels, one call per target. A worker of `bench`.
 
 Value, gradient and Laplacian at all points of a jittered 22³ lattice (±0.25 h), and of the lattice itself, reach 1.4 times the
 distance of the n-th point, weight (1 - r)²; thread time, tests and repairs included, the search for neighbours not; and the
@@ -15,19 +15,18 @@ import ctypes.util
 import importlib.util
 import os
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from measuring import ENVIRONMENT, Record, reset_peak, resident, write
 from mpi4py import MPI
 
 import amrpic
 from amrpic import gmls
 from amrpic.gmls import problem
+from measuring import ENVIRONMENT, RUNNER, Record, reset_peak, resident, write
 
 POINTS = 22  # per axis
 ORDERS = (2, 3, 4)
@@ -161,7 +160,7 @@ def compadre(order: int, runs: int) -> Record:
         np.savez(
             given, x=x, start=near.start, index=near.index, reach=near.reach, order=order, runs=runs, targets=targets
         )
-        worker = [sys.executable, str(Path(__file__).parent / "compadre_peer.py"), str(given), str(written)]
+        worker = [*RUNNER, "compadre_peer", str(given), str(written)]
         subprocess.run(worker, check=True, env={**os.environ, **ENVIRONMENT}, stderr=subprocess.DEVNULL)
         found = np.load(written)
         seconds, theirs = found["seconds"] / len(x), found["weights"]
@@ -199,7 +198,3 @@ def main() -> int:
     if given.output is not None:
         write(given.output, records)
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -20,12 +20,13 @@ from typing import Any, get_args
 
 import numpy as np
 from mpi4py import MPI
-from sine import Yardstick
 
 from amrpic import _native
 from amrpic.scene import solver_options
+from sine import Yardstick
 
 ROOT = Path(__file__).parents[1]
+RUNNER = [sys.executable, str(ROOT / "benchmarks")]  # followed by the name of what is measured
 BACKENDS = get_args(solver_options.Backend)
 BACKEND: str = solver_options.SolverOptions().backend
 CORE = "share of a core"
@@ -192,30 +193,28 @@ def reset_peak() -> None:
     Path("/proc/self/clear_refs").write_text("5")
 
 
-def launch(
-    script: Path, ranks: int, arguments: Sequence[str], limit: float | None = None, isa: str = ""
-) -> list[Record]:
-    """Return the records that a script writes, run on so many ranks with `arguments` and `--output FILE`.
+def launch(name: str, ranks: int, arguments: Sequence[str], limit: float | None = None, isa: str = "") -> list[Record]:
+    """Return the records that `python benchmarks NAME` writes, run on so many ranks with `arguments` and `--output FILE`.
 
     `isa`: the instruction set of its kernels, if not the best one.
 
-    A script that starts ranks of its own cannot be under mpiexec; it is run by itself for `ranks` = 0.
-    Raises CalledProcessError if it fails; what it prints is seen. A script by itself is killed after `limit` seconds, with
+    One that starts ranks of its own cannot be under mpiexec; it is run by itself for `ranks` = 0.
+    Raises CalledProcessError if it fails; what it prints is seen. One by itself is killed after `limit` seconds, with
     TimeoutExpired.
     """
     with tempfile.TemporaryDirectory() as folder:
         found = Path(folder) / "records.json"
-        worker = [sys.executable, str(script), *arguments, "--output", str(found)]
+        worker = [*RUNNER, name, *arguments, "--output", str(found)]
         command = ["mpiexec", "-n", str(ranks), *worker] if ranks else worker
         chosen = {"AMRPIC_ISA": isa} if isa else {}
         subprocess.run(command, env={**os.environ, **ENVIRONMENT, **chosen}, check=True, timeout=limit)
         return read(found)
 
 
-def launch_or_skip(script: Path, arguments: Sequence[str], name: str, limit: float) -> list[Record]:
-    """Return the records that a script on one rank writes; one under `name` that says why, if it fails or takes too long."""
+def launch_or_skip(worker: str, arguments: Sequence[str], name: str, limit: float) -> list[Record]:
+    """Return the records that a worker on one rank writes; one under `name` that says why, if it fails or takes too long."""
     try:
-        return launch(script, 0, arguments, limit)
+        return launch(worker, 0, arguments, limit)
     except subprocess.TimeoutExpired:
         why = f"not done within {limit:.0f} s"
     except subprocess.CalledProcessError as ended:

@@ -1,4 +1,4 @@
-"""What the open boundary of an example costs, stage by stage: `python benchmarks/open_boundary.py --base 144`.
+"""What the open boundary of an example costs, stage by stage: `python benchmarks open_boundary --base 144`.
 
 Also under mpiexec. `measure` is the interface; it makes the mesh and the charge of a scene as a run does at its start, and
 solves nothing. Its stages are `plan` (who does what, once per mesh) and `total` (the potential at all ghosts, in each
@@ -95,7 +95,3 @@ def main() -> None:
     found = measure(args.base, args.example, tuple(args.set), args.repeats)
     if MPI.COMM_WORLD.rank == 0:
         print(json.dumps(found, indent=2))
-
-
-if __name__ == "__main__":
-    main()

@@ -1,22 +1,21 @@
-"""What order 4 takes of time and memory beside order 2: `python benchmarks/orders.py`. A worker of bench.py."""
+"""What order 4 takes of time and memory beside order 2: `python benchmarks orders`. A worker of `bench`."""
 
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
-from cases import Remembered
-from measuring import Record, in_turns, reset_peak, resident, write
 from mpi4py import MPI
 
 import amrpic
 from amrpic.mesh.field import Holds
 from amrpic.stages.poisson import PoissonSolver
-from amrpic.verify import peers
-from amrpic.verify.sources import fill
+from cases import Remembered
+from exact import amrex
+from exact.sources import fill
+from measuring import Record, in_turns, reset_peak, resident, write
 
 CASES = (64, 128)
 WALLS = ("dirichlet", "open")
@@ -33,8 +32,8 @@ def name(cells: int, walls: str, density: str) -> str:
 
 def beside(cells: int, walls: str, runs: int) -> Iterator[Record]:
     """Yield solves of static from zero, in turns, in CPU time, with the bytes per cell that each takes beyond ρ and φ."""
-    hierarchy = peers.static(MPI.COMM_SELF, cells, walls=walls)
-    source = peers.static_source()
+    hierarchy = amrex.static(MPI.COMM_SELF, cells, walls=walls)
+    source = amrex.static_source()
     values = Remembered(source.potential)
     count = sum(hierarchy.cells(level) for level in range(hierarchy.levels))
     works, facts = [], []
@@ -73,7 +72,3 @@ def main() -> int:
     if given.output is not None:
         write(given.output, records)
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,4 +1,4 @@
-"""Time of the particle stages on one uniform level: `python benchmarks/particles.py`."""
+"""Time of the particle stages on one uniform level: `python benchmarks particles`."""
 
 from __future__ import annotations
 
@@ -12,9 +12,7 @@ from statistics import median
 from typing import Any, TypeVar
 
 import numpy as np
-from measuring import Record, in_turns, reset_peak, resident, watched, work_unit, write
 from mpi4py import MPI
-from plain_particles import PlainStages
 
 import amrpic
 from amrpic.mesh.field import VectorField
@@ -28,6 +26,8 @@ from amrpic.stages.diagnostics import moments
 from amrpic.stages.gather import gather
 from amrpic.stages.migrate import migrate
 from amrpic.stages.push import push
+from measuring import Record, in_turns, reset_peak, resident, watched, work_unit, write
+from plain_particles import PlainStages
 
 Result = TypeVar("Result")
 ELECTRON = SpeciesTable((SPECIES["electron"],))
@@ -230,7 +230,3 @@ def kernels_name(stage: str, particles: int, kernels: str) -> str:
 
 def record_name(stage: str, particles: int, shape: str) -> str:
     return f"particles, {stage}, {particles:.0e}, {shape}"
-
-
-if __name__ == "__main__":
-    main()

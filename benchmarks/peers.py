@@ -1,7 +1,7 @@
 """Time solvers of others beside ours on one uniform mesh between grounded walls: scipy's sine transform, hypre, pyamg.
 
 All get the same right-hand side and solve to 1e-10 from zero. A peer that is not there is left out with a line that says how
-to install it. A worker of benchmarks/bench.py; it starts hypre on one and two ranks, so it is
+to install it. A worker of `bench`; it starts hypre on one and two ranks, so it is
 not under mpiexec itself.
 """
 
@@ -12,21 +12,20 @@ import importlib.util
 import os
 import shutil
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
-from cases import problem
-from measuring import BACKEND, BACKENDS, ENVIRONMENT, Record, WorkUnit, work_unit, write
 from mpi4py import MPI
 from scipy import sparse
-from sine import by_sine_transform, inverse_eigenvalues
 
 from amrpic.stages.poisson import PoissonSolver
-from amrpic.verify.sources import EPS0
+from cases import problem
+from exact.sources import EPS0
+from measuring import BACKEND, BACKENDS, ENVIRONMENT, Record, WorkUnit, work_unit, write
+from sine import by_sine_transform, inverse_eigenvalues
 
 HERE = Path(__file__).parent
 Array = np.ndarray
@@ -197,7 +196,3 @@ def main() -> int:
         print(f"{found.name}: {found.median:.4g} s, {found.units:.0f} work units", flush=True)
     write(given.output, records)
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,6 +1,6 @@
 """Write docs/reports/performance.md and its pictures from what `make bench` measured.
 
-Run it by `python benchmarks/performance.py BENCH.json`.
+Run it by `python benchmarks performance BENCH.json`.
 """
 
 from __future__ import annotations
@@ -8,7 +8,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -204,10 +203,10 @@ def in_units(record: Record | None, cycles: int = 1) -> str:
 
 TEXT = """# Performance
 
-Made by `make bench` (`benchmarks/bench.py`), figures and pictures; commit {commit}, {time}, on {cores} cores of
+Made by `make bench` (`python benchmarks bench`), figures and pictures; commit {commit}, {time}, on {cores} cores of
 {processor}, kernels for {instructions}, backend `{backend}`, of which a run on one rank had {core:.0%}. Figures are medians of
-{runs} runs. Seconds belong to that machine and to what else it did; ratios and work units travel. `benchmarks/compare.py
-OLD NEW` runs two builds in turns, and resolves differences of 3 %; `benchmarks/compare_records.py BEFORE.json
+{runs} runs. Seconds belong to that machine and to what else it did; ratios and work units travel. `python benchmarks compare
+OLD NEW` runs two builds in turns, and resolves differences of 3 %; `python benchmarks compare_records BEFORE.json
 AFTER.json` compares two runs of this.
 
 ## Goals
@@ -432,7 +431,3 @@ def main() -> int:
     given = parser.parse_args()
     print(write(given.bench, given.output))
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -11,18 +11,17 @@ import argparse
 import importlib.util
 import json
 import subprocess
-import sys
 import tempfile
 from functools import partial
 from pathlib import Path
 from statistics import median
 
-from measuring import BACKEND, BACKENDS, Record, slowest, timed, work_unit, write
 from mpi4py import MPI
 
 from amrpic.run.plan import Plan
 from amrpic.run.step import advance, begin
 from amrpic.scene.scene import Scene
+from measuring import BACKEND, BACKENDS, RUNNER, Record, slowest, timed, work_unit, write
 
 HERE = Path(__file__).parent
 RELATIVE_TOLERANCE = 1e-7  # of the solve in every step; ImpactX's own default
@@ -91,7 +90,7 @@ def impactx(cells: int, particles: int, walls: str, runs: int) -> Record:
         }
         task["--tolerance"] = RELATIVE_TOLERANCE
         arguments = [str(part) for pair in task.items() for part in pair]
-        command = [sys.executable, str(HERE / "impactx_peer.py"), *arguments, "--output", str(found)]
+        command = [*RUNNER, "impactx_peer", *arguments, "--output", str(found)]
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
         taken = json.loads(found.read_text(encoding="utf-8"))
     return Record(step_name("ImpactX", cells, particles, walls), taken, particles=particles)
@@ -124,7 +123,3 @@ def main() -> int:
             print("ImpactX is left out; to have it: pip install impactx-noacc", flush=True)
         write(given.output, records)
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,4 +1,4 @@
-"""Time operators at points and at Gauss's points: the bakeoff problems BP1 to BP4. A worker of bench.py.
+"""Time operators at points and at Gauss's points: the bakeoff problems BP1 to BP4. A worker of `bench`.
 
 Each product with an operator beside the machine's peak of fused products and sums, measured in turns with it, and beside
 libCEED 0.12 where it can be had: its operators at Gauss's points, and its basis at points, which has the gradient there and
@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import statistics
-import sys
 import time
 from collections.abc import Callable
 from copy import deepcopy
@@ -21,16 +20,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import ceed_peer
-import kratos_peer
 import numpy as np
-from measuring import Record, reset_peak, resident, watched, write
 from mpi4py import MPI
 
+import ceed_peer
+import kratos_peer
 from amrpic import _native, fem, mpm
 from amrpic.mpm.state import Plan
 from amrpic.mpm.step import begin, put
-from amrpic.verify.press import first_tangent
+from exact.press import first_tangent
+from measuring import Record, reset_peak, resident, watched, write
 
 PROBLEMS = {"BP1": (fem.Mass, 1), "BP2": (fem.Mass, 3), "BP3": (fem.Poisson, 1), "BP4": (fem.Poisson, 3)}
 CELLS = {1: 16, 2: 10, 3: 8, 4: 6}  # elements per axis at points, by degree
@@ -332,7 +331,3 @@ def main() -> int:
             print(printed(record), flush=True)
         write(given.output, records)
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,4 +1,4 @@
-"""Time what regrid and set-up do with boxes alone, up to a million of them: `python benchmarks/regridding.py`.
+"""Time what regrid and set-up do with boxes alone, up to a million of them: `python benchmarks regridding`.
 
 A base of n³ boxes with two refined levels around ten bunches, as the reference benchmark has them for n = 24; then all that is
 refined moves by one block. Boxes are of 3³ blocks as there, but these of 2³ cells, not 8³, so that one rank can number all.
@@ -17,14 +17,14 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from goals import Goal
-from growth import law
 from mpi4py import MPI
 
 import amrpic
 from amrpic.commands.text_table import columns
 from amrpic.run.memory import run_memory
 from amrpic.stages.regrid import Regridding, regrid
+from goals import Goal
+from growth import law
 
 BOX, BLOCK, LEVELS = 6, 2, 3
 BASES = (8, 12, 16, 24, 32, 48, 64, 96)  # boxes per axis
@@ -120,7 +120,3 @@ def main() -> None:
     found_goals = goals(found)
     for goal in found_goals:
         print(f"{goal.what}: {goal.measured:.3g}{goal.unit}, {goal.bound(goal.must)}: {goal.verdict}")
-
-
-if __name__ == "__main__":
-    main()

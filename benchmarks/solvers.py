@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
-from measuring import ENVIRONMENT, ROOT, work_unit
 from mpi4py import MPI
 
 import amrpic
@@ -29,6 +28,7 @@ from amrpic.run.plan import Plan
 from amrpic.run.step import begin
 from amrpic.scene import solver_options
 from amrpic.stages.poisson import BaseSetup, PoissonSolver
+from measuring import ENVIRONMENT, ROOT, RUNNER, work_unit
 
 sys.path.insert(0, str(ROOT / "tests" / "support"))
 from static_case import EPS0, STATIC, static_hierarchy
@@ -330,7 +330,7 @@ COLUMNS = """
 
 HEAD = f"""# The solver's menu, measured
 
-Made by `make solvers` (`benchmarks/solvers.py`), which fails unless every row below converges to a residual of
+Made by `make solvers` (`python benchmarks solvers`), which fails unless every row below converges to a residual of
 {TOLERANCE:.0e} (max norm) to the default's potential within {SAME:.0e} of its largest value, or is refused at construction.
 What the options mean, and why the defaults are what they are: `[solver]` in [scene.md](../scene.md).
 
@@ -380,7 +380,15 @@ TAIL = """
 def run(case: str, ranks: int, quick: bool) -> Table:
     with tempfile.TemporaryDirectory() as folder:
         found = Path(folder) / "table.json"
-        worker = [sys.executable, __file__, "--case", case, "--output", str(found), *(["--quick"] if quick else [])]
+        worker = [
+            *RUNNER,
+            "solvers",
+            "--case",
+            case,
+            "--output",
+            str(found),
+            *(["--quick"] if quick else []),
+        ]
         subprocess.run(["mpiexec", "-n", str(ranks), *worker], env={**os.environ, **ENVIRONMENT}, check=True)
         content = json.loads(found.read_text())
     content["rows"] = [Measured(**row) for row in content["rows"]]
@@ -411,7 +419,3 @@ def main() -> int:
     for table, row in unsound:
         print(f"{table.case}, {table.ranks} ranks, {label(row.options)}: not the default's potential", file=sys.stderr)
     return 1 if unsound else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

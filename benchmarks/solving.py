@@ -1,10 +1,9 @@
-"""Time the solver: set-up, solves to several tolerances, regrids; and measure its memory. A worker of benchmarks/bench.py."""
+"""Time the solver: set-up, solves to several tolerances, regrids; and measure its memory. A worker of `bench`."""
 
 from __future__ import annotations
 
 import argparse
 import itertools
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -12,7 +11,13 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from mpi4py import MPI
+
+import amrpic
+from amrpic.stages.poisson import PoissonSolver
+from amrpic.stages.regrid import Regridding, carry_over, regrid
 from cases import FAMILIES, STRETCHED, Problem, problem
+from exact.errors import errors
 from measuring import (
     BACKEND,
     BACKENDS,
@@ -29,12 +34,6 @@ from measuring import (
     yardstick,
 )
 from measuring import in_turns as turns_of
-from mpi4py import MPI
-
-import amrpic
-from amrpic.stages.poisson import PoissonSolver
-from amrpic.stages.regrid import Regridding, carry_over, regrid
-from amrpic.verify.errors import errors
 
 FULL = 1e-10
 IN_TURNS = f"{FULL:g}, in turns"
@@ -369,7 +368,3 @@ def main() -> int:
     if comm.rank == 0:
         write(given.output, records)
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,4 +1,4 @@
-"""How much faster Kokkos' kernels are with several threads than with one: `python benchmarks/threads.py --threads 2`.
+"""How much faster Kokkos' kernels are with several threads than with one: `python benchmarks threads --threads 2`.
 
 The solve of static 128 in boxes of 64, and deposit and gather+push of 1e7 particles in 128³ cells: the least wall time of
 each in a process of so many threads. For a build whose Kokkos has threads (docs/machine.md).
@@ -14,6 +14,7 @@ import sys
 import time
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 
 PARTS = ("solve", "particles")
 
@@ -21,14 +22,14 @@ PARTS = ("solve", "particles")
 def works(part: str) -> dict[str, Callable[[], object]]:
     """Return what is timed, each by Kokkos' kernels."""
     from mpi4py import MPI
+
     from particles import BY_KOKKOS, stages
 
     if part == "particles":
         ready = stages(10**7, 128, 32, kernels="kokkos")
         return {f"{stage}, 1e7 particles": ready[stage] for stage in BY_KOKKOS}
-    from cases import problem
-
     from amrpic.stages.poisson import PoissonSolver
+    from cases import problem
 
     given = problem(MPI.COMM_SELF, "static 128", 64)
     solver = PoissonSolver(given.hierarchy, tolerance=1e-10, backend="kokkos")
@@ -48,7 +49,8 @@ def least_seconds(work: Callable[[], object], repeats: int) -> float:
 def measured(part: str, threads: int, repeats: int) -> dict[str, float]:
     """Return the seconds of a part in a process of its own."""
     environment = {"OMP_PROC_BIND": "spread", "OMP_PLACES": "threads", **os.environ, "OMP_NUM_THREADS": str(threads)}
-    command = [sys.executable, __file__, "--parts", part, "--repeats", str(repeats), "--worker"]
+    here = str(Path(__file__).parent)
+    command = [sys.executable, here, "threads", "--parts", part, "--repeats", str(repeats), "--worker"]
     return json.loads(subprocess.run(command, env=environment, check=True, stdout=subprocess.PIPE).stdout)
 
 
@@ -69,7 +71,3 @@ def main() -> None:
         for name, seconds in alone.items():
             ratio = seconds / together[name]
             print(f"{name}: {seconds:.3f} s, with {given.threads} threads {together[name]:.3f} s, {ratio:.2f} times")
-
-
-if __name__ == "__main__":
-    main()

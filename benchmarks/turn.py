@@ -13,13 +13,13 @@ import time
 from collections.abc import Callable
 from functools import partial
 
-import particles
-from cases import problem
 from mpi4py import MPI
+
+import particles
+from amrpic.stages.poisson import PoissonSolver
+from cases import problem
 from sine import Yardstick
 from solving import FULL, follower
-
-from amrpic.stages.poisson import PoissonSolver
 
 Work = Callable[[], object]
 CLOCKS: dict[str, Callable[[], float]] = {"cpu": time.process_time, "wall": time.perf_counter}
@@ -94,7 +94,3 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=5)
     given = parser.parse_args()
     print(json.dumps(measure(given.case, given.repeats)))
-
-
-if __name__ == "__main__":
-    main()

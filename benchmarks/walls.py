@@ -1,18 +1,17 @@
-"""Time a solve with open walls beside one with grounded walls on the mesh of `ten_bunches`. A worker of bench.py."""
+"""Time a solve with open walls beside one with grounded walls on the mesh of `ten_bunches`. A worker of `bench`."""
 
 from __future__ import annotations
 
 import argparse
-import sys
 from functools import partial
 from pathlib import Path
 
-from measuring import BACKEND, BACKENDS, Record, slowest, timed, work_unit, write
 from mpi4py import MPI
-from open_boundary import density
 
 import amrpic
 from amrpic.stages.poisson import PoissonSolver
+from measuring import BACKEND, BACKENDS, Record, slowest, timed, work_unit, write
+from open_boundary import density
 
 TOLERANCE = 1e-10
 WALLS = ("dirichlet", "open")
@@ -69,7 +68,3 @@ def main() -> int:
             print(f"{record.name}: {record.median:.4g} s, {record.units:.0f} work units", flush=True)
         write(given.output, records)
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -26,7 +26,6 @@ from ..scene.refinement_rules import StaticRule, every_rule
 from ..scene.scene import Scene
 from ..stages.diagnostics import field_energy
 from ..stages.migrate import migrate
-from .chosen import with_backend
 from .described import ExactField, Moved, density_of, exact_field
 from .draw import MARKERS, picture
 from .errors import errors
@@ -351,7 +350,7 @@ class Case:
         return out
 
     def plan(self, tolerance: float | str) -> Plan:
-        chosen = with_backend({"tolerance": tolerance, "order": self.order})
+        chosen = {"tolerance": tolerance, "order": self.order}
         solver = self.scene.solver.model_copy(update=chosen)
         return Plan(self.hierarchy.comm, self.scene.model_copy(update={"solver": solver}))
 

@@ -7,7 +7,6 @@ is reported, not an error.
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import importlib.metadata
 import importlib.util
@@ -19,7 +18,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import bases
 import charts
@@ -27,7 +26,7 @@ import gamma
 import performance
 from goals import goals, printed, table
 from growth import laws, rows
-from measuring import BACKEND, BACKENDS, ROOT, Record, launch, share_of_core, write
+from measuring import BACKEND, ROOT, Backend, Record, launch, share_of_core, write
 
 MEMORY_CASES = ("static 128", "bunch 64")
 QUIET = 0.9  # of a core, below which a run is reported as disturbed
@@ -118,28 +117,28 @@ def instructions() -> str:
     return next((name for flag, name in (("avx512f", "AVX-512"), ("avx2", "AVX2")) if flag in flags), "without AVX2")
 
 
-def main() -> int:
-    names = tuple(dict.fromkeys(part.name for part in parts("", False, 1)))
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="few of the cases: under 2 minutes")
-    parser.add_argument("--backend", default=BACKEND, choices=BACKENDS, help="how the operators are executed")
-    parser.add_argument("--runs", type=int, default=5, help="runs of each measurement; it reports medians")
-    parser.add_argument("--only", nargs="+", choices=names, default=names, help="parts to run")
-    parser.add_argument(
-        "--output", type=Path, default=ROOT / "runs" / "bench", help="folder of the JSON and the charts"
-    )
-    parser.add_argument("--publish", action="store_true", help="write docs/reports/performance.md, after a whole run")
-    given = parser.parse_args()
-    if given.publish and (given.quick or len(given.only) < len(names)):
-        parser.error("only a whole run is published; leave out --quick and --only")
-    given.output.mkdir(parents=True, exist_ok=True)
-    about = {"machine": machine(), "quick": given.quick, "backend": given.backend, "runs": given.runs}
+PARTS = tuple(dict.fromkeys(part.name for part in parts("", False, 1)))
+
+
+def run(
+    quick: Annotated[bool, "few of the cases: under 2 minutes"] = False,
+    backend: Backend = BACKEND,
+    runs: Annotated[int, "of each measurement; it reports medians"] = 5,
+    only: Annotated[tuple[str, ...], "parts to run", PARTS] = PARTS,
+    output: Annotated[Path, "folder of the JSON and the charts"] = ROOT / "runs" / "bench",
+    publish: Annotated[bool, "write docs/reports/performance.md, after a whole run"] = False,
+) -> int:
+    """Run the parts, and print tables; 1 if one failed."""
+    if publish and (quick or len(only) < len(PARTS)):
+        sys.exit("only a whole run is published; leave out --quick and --only")
+    output.mkdir(parents=True, exist_ok=True)
+    about: dict[str, Any] = {"machine": machine(), "quick": quick, "backend": backend, "runs": runs}
     start = time.perf_counter()
-    chosen = [part for part in parts(given.backend, given.quick, given.runs) if part.name in given.only]
+    chosen = [part for part in parts(backend, quick, runs) if part.name in only]
     print("{processor}, {cores} cores, {instructions}, commit {commit}".format_map(about["machine"]), flush=True)
     records, failed = measure(chosen)
-    write(given.output / "bench.json", records, **about, minutes=(time.perf_counter() - start) / 60)
-    charts.draw(records, given.output)
+    write(output / "bench.json", records, **about, minutes=(time.perf_counter() - start) / 60)
+    charts.draw(records, output)
     print(printed(table(goals(records))))
     known = {record.name: record for record in records}
     for more in (bases.rows(known), gamma.rows(known)):
@@ -147,10 +146,10 @@ def main() -> int:
             print("\n" + printed(more))
     if (found := laws(records)) != []:
         print("\n" + printed(rows(found)))
-    if given.publish and not failed:
-        print(performance.write(given.output / "bench.json", ROOT / "docs" / "reports"))
+    if publish and not failed:
+        print(performance.write(output / "bench.json", ROOT / "docs" / "reports"))
     if (share := share_of_core(records)) < QUIET:
         print(f"The machine did other work: a rank had {share:.0%} of a core, so times are too long.")
     for sentence in failed:
         print(sentence, file=sys.stderr)
-    return 1 if failed else 0
+    return int(bool(failed))

@@ -7,14 +7,12 @@ five). Each line is printed as soon as it is known. docker/card/run calls all of
 
 from __future__ import annotations
 
-import argparse
 import ctypes
 import statistics
-import sys
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from mpi4py import MPI
@@ -121,12 +119,13 @@ def times() -> None:
             beside(f"{stage}, {count:.0e} particles", count, "particle", [kind[stage] for kind in kinds])
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("part", choices=("first", "copy", "times"))
-    parser.add_argument("--cells", type=int, default=16, help="of the smallest solve, along an axis")
-    given = parser.parse_args()
+def run(
+    part: Annotated[str, "what is tried", ("first", "copy", "times")],
+    cells: Annotated[int, "of the smallest solve, along an axis"] = 16,
+) -> int:
+    """Try a part; 1 if what it finds is wrong."""
     say(_native.kokkos_backend())
-    if given.part == "first":
-        sys.exit(not first(given.cells))
-    copy() if given.part == "copy" else times()
+    if part == "first":
+        return int(not first(cells))
+    copy() if part == "copy" else times()
+    return 0

@@ -6,11 +6,9 @@ choices take turns. The least of the turns counts, since what disturbs a run can
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
 from functools import partial
-from pathlib import Path
-from typing import get_args
+from typing import Annotated, get_args
 
 from mpi4py import MPI
 
@@ -19,7 +17,7 @@ from amrpic.run.plan import Plan
 from amrpic.run.state import State
 from amrpic.run.step import advance, begin
 from amrpic.scene.scene import Scene
-from measuring import CPU_TIME, ROOT, Record, timed, write
+from measuring import CPU_TIME, ROOT, Record, timed
 
 KINDS: tuple[CompensationKind, ...] = get_args(CompensationKind)
 CELLS = 144  # of the base along an axis, as in the example
@@ -70,16 +68,11 @@ def told(shape: Shape, particles: int, runs: int) -> list[Record]:
     return found
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=9, help="turns of each")
-    parser.add_argument("--particles", type=float, default=1e6, help="of each of the three bunches")
-    parser.add_argument(
-        "--shape", nargs="+", choices=list(SHAPES), default=["cloud-in-cell", "triangular-shaped-cloud"]
-    )
-    parser.add_argument("--output", type=Path, help="the JSON to write")
-    given = parser.parse_args()
-    records = [record for shape in given.shape for record in told(shape, int(given.particles), given.runs)]
-    if given.output is not None:
-        write(given.output, records)
-    return 0
+def run(
+    runs: Annotated[int, "turns of each"] = 9,
+    particles: Annotated[float, "of each of the three bunches"] = 1e6,
+    shape: Annotated[tuple[Shape, ...], "of clouds", SHAPES] = ("cloud-in-cell", "triangular-shaped-cloud"),
+) -> Iterator[Record]:
+    """Steps with each kind of compensation, and a line for each."""
+    for one in shape:
+        yield from told(one, int(particles), runs)

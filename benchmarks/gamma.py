@@ -6,14 +6,12 @@ Each is measured in a process of its own, for its memory; one that takes too lon
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import math
 import statistics
 from collections.abc import Iterator, Mapping
 from functools import partial
-from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from mpi4py import MPI
@@ -21,7 +19,7 @@ from mpi4py import MPI
 import amrpic
 from amrpic.stages.poisson import PoissonSolver
 from exact.sources import EPS0
-from measuring import Record, in_turns, launch_or_skip, reset_peak, resident, timed, write
+from measuring import Record, Runs, in_turns, launch_or_skip, reset_peak, resident, timed
 from solving import FULL
 
 GAMMAS = (10, 20, 50, 100)
@@ -116,27 +114,25 @@ def rows(records: Mapping[str, Record]) -> list[tuple[str, ...]]:
     return out
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--gammas", type=float, nargs="+", default=list(GAMMAS))
-    parser.add_argument("--meshes", nargs="+", choices=list(MESHES), default=list(MESHES))
-    parser.add_argument("--walls", nargs="+", choices=WALLS, default=list(WALLS))
-    parser.add_argument("--boxes", type=int, nargs="+", default=list(BOXES))
-    parser.add_argument("--runs", type=int, default=5)
-    parser.add_argument("--limit", type=float, default=LIMIT, help="seconds for a case")
-    parser.add_argument("--alone", action="store_true", help="measure the only case given in this process")
-    parser.add_argument("--output", type=Path, required=True, help="the JSON to write")
-    given = parser.parse_args()
+def run(
+    gammas: tuple[float, ...] = GAMMAS,
+    meshes: Annotated[tuple[str, ...], "kinds", MESHES] = tuple(MESHES),
+    walls: Annotated[tuple[str, ...], "kinds", WALLS] = WALLS,
+    boxes: tuple[int, ...] = BOXES,
+    runs: Runs = 5,
+    limit: Annotated[float, "seconds for a case"] = LIMIT,
+    alone: Annotated[bool, "measure the only case in this process"] = False,
+) -> Iterator[Record]:
+    """Each case, in a process of its own."""
     records: list[Record] = []
-    for case in itertools.product(given.gammas, given.meshes, given.walls, given.boxes):
-        if given.alone:
-            records += measure(*case, given.runs, given.limit / 3)
+    for case in itertools.product(gammas, meshes, walls, boxes):
+        if alone:
+            records += measure(*case, runs, limit / 3)
             continue
         options = zip(("--gammas", "--meshes", "--walls", "--boxes"), map(str, case), strict=True)
-        arguments = ["--alone", *itertools.chain(*options), "--runs", str(given.runs), "--limit", str(given.limit)]
-        records += launch_or_skip("gamma", arguments, gamma_name(*case), given.limit)
-    if not given.alone:
+        arguments = ["--alone", *itertools.chain(*options), "--runs", str(runs), "--limit", str(limit)]
+        records += launch_or_skip("gamma", arguments, gamma_name(*case), limit)
+    if not alone:
         for row in rows({record.name: record for record in records}):
             print("  ".join(row), flush=True)
-    write(given.output, records)
-    return 0
+    yield from records

@@ -9,7 +9,6 @@ fields carried to another base, per new cell, and sampled along a line, per poin
 
 from __future__ import annotations
 
-import argparse
 import ctypes
 import ctypes.util
 import importlib.util
@@ -17,7 +16,7 @@ import os
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +25,7 @@ from mpi4py import MPI
 import amrpic
 from amrpic import gmls
 from amrpic.gmls import problem
-from measuring import ENVIRONMENT, RUNNER, Record, reset_peak, resident, write
+from measuring import ENVIRONMENT, RUNNER, Record, Runs, reset_peak, resident
 
 POINTS = 22  # per axis
 ORDERS = (2, 3, 4)
@@ -177,24 +176,21 @@ def record_name(order: int, kind: str) -> str:
     return f"least squares, order {order}, {kind}"
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=5, help="runs of each")
-    parser.add_argument("--output", type=Path, help="the JSON to write")
-    given = parser.parse_args()
+def run(runs: Runs = 5) -> Iterator[Record]:
+    """All orders, beside LAPACK and pycompadre."""
     records = []
     for order in ORDERS:
-        records += [ours(order, "jittered", given.runs), ours(order, "lattice", given.runs), lapack(order, given.runs)]
-        records += [compadre(order, given.runs)]
-    records += [leaves(given.runs, 96), *between_meshes(given.runs, 32)]
+        records += [
+            ours(order, "jittered", runs),
+            ours(order, "lattice", runs),
+            lapack(order, runs),
+            compadre(order, runs),
+        ]
+    records += [leaves(runs, 96), *between_meshes(runs, 32)]
     records = [record for record in records if record.seconds]
-    for record in records:
-        print(f"{record.name}: {1e6 * record.median:.3g} µs per target", flush=True)
     if importlib.util.find_spec("pycompadre") is None:
         print("pycompadre is not installed: it is left out")
     from goals import Found, printed, stencils, table  # which imports this module
 
     print(printed(table(list(stencils(Found(records))))))
-    if given.output is not None:
-        write(given.output, records)
-    return 0
+    yield from records

@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, get_args
+from typing import Annotated, Any, get_args
 
 import numpy as np
 from mpi4py import MPI
@@ -30,6 +30,11 @@ RUNNER = [sys.executable, str(ROOT / "benchmarks")]  # followed by the name of w
 BACKENDS = get_args(solver_options.Backend)
 BACKEND: str = solver_options.SolverOptions().backend
 CORE = "share of a core"
+Backend = Annotated[
+    str, "how the operators are executed", BACKENDS
+]  # options of what is measured, as __main__ reads them
+Runs = Annotated[int, "runs of each"]
+Quick = Annotated[bool, "few and small cases"]
 ENVIRONMENT = {
     "OMPI_ALLOW_RUN_AS_ROOT": "1",
     "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
@@ -102,6 +107,16 @@ class Record:
     def skipped(self) -> str:
         """Why it was not measured; empty if it was."""
         return str(self.facts.get("skipped", ""))
+
+
+def printed(record: Record) -> str:
+    """A line about a record."""
+    if record.skipped or not record.seconds:
+        return f"{record.name}: {record.skipped or 'left out'}"
+    units = f", {record.units:.0f} work units" if record.unit else ""
+    over_dst = f", {record.over_dst:.2f} DST" if record.dst else ""
+    facts = "".join(f", {what} {value:.4g}" for what, value in record.facts.items() if isinstance(value, int | float))
+    return f"{record.name}: {record.median:.4g} s{units}{over_dst}{facts}"
 
 
 # For ratios on one rank: wall time counts how long a rank waits for its core where others use it as well.

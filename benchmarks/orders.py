@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
+import itertools
 from collections.abc import Iterator
 from functools import partial
-from pathlib import Path
+from typing import Annotated
 
 from mpi4py import MPI
 
@@ -15,7 +15,7 @@ from amrpic.stages.poisson import PoissonSolver
 from cases import Remembered
 from exact import amrex
 from exact.sources import fill
-from measuring import Record, in_turns, reset_peak, resident, write
+from measuring import Record, Runs, in_turns, reset_peak, resident
 
 CASES = (64, 128)
 WALLS = ("dirichlet", "open")
@@ -51,24 +51,14 @@ def beside(cells: int, walls: str, runs: int) -> Iterator[Record]:
         yield Record(name(cells, walls, density), seconds, cells=count, facts=known)
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=5, help="runs of each")
-    parser.add_argument("--cells", type=int, nargs="+", default=CASES, help="base cells along an axis")
-    parser.add_argument("--output", type=Path, help="the JSON to write")
-    given = parser.parse_args()
-    records: list[Record] = []
-    for cells in given.cells:
-        for walls in WALLS:
-            found = list(beside(cells, walls, given.runs))
-            for record in found:
-                stages = ", ".join(f"{stage} {seconds:.3f}" for stage, seconds in record.facts["stages"].items())
-                print(
-                    f"{record.name}: {record.median:.3f} s, {record.median / found[0].median:.2f} of order 2's, "
-                    f"{record.facts['cycles']} cycles, {record.facts['bytes per cell']:.1f} B per cell; {stages}",
-                    flush=True,
-                )
-            records += found
-    if given.output is not None:
-        write(given.output, records)
-    return 0
+def run(runs: Runs = 5, cells: Annotated[tuple[int, ...], "base cells along an axis"] = CASES) -> Iterator[Record]:
+    """All cases."""
+    for count, walls in itertools.product(cells, WALLS):
+        yield from beside(count, walls, runs)
+
+
+def printed(record: Record) -> str:
+    facts = record.facts
+    stages = ", ".join(f"{stage} {seconds:.3f}" for stage, seconds in facts["stages"].items())
+    each = f"{facts['bytes per cell']:.1f} B per cell"
+    return f"{record.name}: {record.median:.3f} s, {facts['cycles']} cycles, {each}; {stages}"

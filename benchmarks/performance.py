@@ -5,12 +5,11 @@ Run it by `python benchmarks performance BENCH.json`.
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import bases
 import charts
@@ -424,10 +423,9 @@ def write(bench: Path, folder: Path) -> Path:
     return out
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("bench", type=Path, help="bench.json of a run")
-    parser.add_argument("--output", type=Path, default=ROOT / "docs" / "reports", help="folder of the document")
-    given = parser.parse_args()
-    print(write(given.bench, given.output))
-    return 0
+def run(
+    bench: Annotated[Path, "bench.json of a run"],
+    output: Annotated[Path, "folder of the document"] = ROOT / "docs" / "reports",
+) -> None:
+    """Write the document."""
+    print(write(bench, output))

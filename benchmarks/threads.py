@@ -6,7 +6,6 @@ each in a process of so many threads. For a build whose Kokkos has threads (docs
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import subprocess
@@ -15,6 +14,7 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Annotated
 
 PARTS = ("solve", "particles")
 
@@ -54,20 +54,18 @@ def measured(part: str, threads: int, repeats: int) -> dict[str, float]:
     return json.loads(subprocess.run(command, env=environment, check=True, stdout=subprocess.PIPE).stdout)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
-    parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument(
-        "--worker", action="store_true", help="measure here, with the threads that the environment sets"
-    )
-    given = parser.parse_args()
-    for part in given.parts:
-        if given.worker:
-            print(json.dumps({name: least_seconds(work, given.repeats) for name, work in works(part).items()}))
+def run(
+    threads: int = 2,
+    parts: Annotated[tuple[str, ...], "what is timed", PARTS] = PARTS,
+    repeats: int = 5,
+    worker: Annotated[bool, "measure here, with the threads that the environment sets"] = False,
+) -> None:
+    """Time each part with one thread and with several."""
+    for part in parts:
+        if worker:
+            print(json.dumps({name: least_seconds(work, repeats) for name, work in works(part).items()}))
             continue
-        alone, together = (measured(part, threads, given.repeats) for threads in (1, given.threads))
+        alone, together = (measured(part, count, repeats) for count in (1, threads))
         for name, seconds in alone.items():
             ratio = seconds / together[name]
-            print(f"{name}: {seconds:.3f} s, with {given.threads} threads {together[name]:.3f} s, {ratio:.2f} times")
+            print(f"{name}: {seconds:.3f} s, with {threads} threads {together[name]:.3f} s, {ratio:.2f} times")

@@ -7,6 +7,7 @@ import io
 import json
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -204,9 +205,9 @@ def runs_of(tmp_path: Path, name: str, **changed: Record) -> Path:
     return path
 
 
-def compared(before: Path, after: Path, *arguments: str) -> tuple[int, str]:
+def compared(before: Path, after: Path, **options: Any) -> tuple[int, str]:
     with contextlib.redirect_stdout(io.StringIO()) as text:
-        status = compare_records.main([str(before), str(after), *arguments])
+        status = compare_records.run(before, after, **options)
     return status, text.getvalue()
 
 
@@ -221,7 +222,7 @@ def test_a_stage_that_became_slower_is_found(tmp_path):
     slow = Record("stage", [2.4, 2.42, 2.38, 2.4, 2.41])
     status, text = compared(runs_of(tmp_path, "one"), runs_of(tmp_path, "two", stage=slow))
     assert status == 1 and "slower  2 s     2.4 s  1.20   stage" in text
-    status, text = compared(runs_of(tmp_path, "one"), runs_of(tmp_path, "two", stage=slow), "--threshold", "0.25")
+    status, text = compared(runs_of(tmp_path, "one"), runs_of(tmp_path, "two", stage=slow), threshold=0.25)
     assert status == 0
 
 

@@ -20,7 +20,7 @@ from amrpic.parallel import Traffic
 from amrpic.run.flight import deposits_meanwhile
 from amrpic.run.memory import Share, cells_below, placing_bytes, rank_memory
 from amrpic.run.restart import BEFORE, FIELDS, LAGGING_BYTES, ROW_BYTES, writers_of
-from amrpic.scaling.measure import cells_of_ranks, faces_of_ranks
+from amrpic.scaling.measure import cells_of_ranks
 from amrpic.scene.motion import Leapfrog, RandomWalk
 from amrpic.scene.scene import Scene
 
@@ -402,3 +402,14 @@ class Planner:
             at_home += np.bincount(owners, held.bricks.particles[here], mesh.comm.size)
         most = float(at_home.max() / at_home.mean()) if at_home.any() else 1.0
         return Choices(imbalance(cells_of_ranks(uncut)), most)
+
+
+def faces_of_ranks(mesh: Hierarchy) -> np.ndarray:
+    """Return the cells on the six faces of the boxes of each level on each rank, int64 (levels, ranks)."""
+
+    def of_boxes(boxes: np.ndarray) -> np.ndarray:
+        x, y, z = (boxes[:, 3 + axis].astype(np.int64) - boxes[:, axis] + 1 for axis in range(3))
+        return 2 * (x * y + y * z + z * x)
+
+    rows = [np.bincount(mesh.owners(l), of_boxes(mesh.boxes(l)), mesh.comm.size) for l in range(mesh.levels)]
+    return np.array(rows).astype(np.int64)

@@ -57,11 +57,11 @@ def beside_name(n: int) -> str:
 
 
 def is_base(record: Record) -> bool:
-    return record.name.startswith("base, ") and ", beside" not in record.name
+    return record.keys[0] == "base" and len(record.keys) == 2
 
 
 def base_of(record: Record) -> int:
-    return int(record.name.split(", ")[1])
+    return int(record.keys[1])
 
 
 def base_ratio(records: Mapping[str, Record], record: Record) -> float:

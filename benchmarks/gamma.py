@@ -98,9 +98,9 @@ def rows(records: Mapping[str, Record]) -> list[tuple[str, ...]]:
         ("γ", "mesh", "walls", "boxes", "cycles", "of cubes", "time over that of cubes", "memory beyond φ and ρ")
     ]
     for record in records.values():
-        if not record.name.startswith("gamma, ") or record.name.endswith(CUBES):
+        if record.keys[0] != "gamma" or record.name.endswith(CUBES):
             continue
-        case = tuple(record.name.removeprefix("gamma, ").replace("boxes ", "").split(", "))
+        case = (*record.keys[1:4], record.keys[4].removeprefix("boxes "))
         if record.skipped:
             out.append((*case, "–", "–", record.skipped, "–"))
             continue

@@ -74,7 +74,7 @@ def work_unit(comm: MPI.Comm, cells: int) -> WorkUnit:
 
 @dataclass
 class Record:
-    """Something that was timed several times. `name` tells it from all others: what, case, and what was varied."""
+    """Something that was timed several times. `name` tells it from all others: keys, as what, case, and what was varied."""
 
     name: str
     seconds: list[float]  # of each run, of the slowest rank
@@ -87,6 +87,11 @@ class Record:
     dst: list[float] = field(
         default_factory=list
     )  # s per cell of the sine transform on 128³ cells, in turns with the runs
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """What its name is made of."""
+        return tuple(self.name.split(", "))
 
     @property
     def median(self) -> float:

@@ -163,9 +163,9 @@ def uniform(records: Sequence[Record]) -> list[tuple[str, ...]]:
 def particles(records: Sequence[Record]) -> list[tuple[str, ...]]:
     """Return the particle stages in ns per particle, by number and shape."""
     rows: list[tuple[str, ...]] = [("particles", "shape", *STAGES)]
-    mine = {record.name: record for record in records if record.name.startswith("particles, ")}
-    for count, shape in sorted({tuple(one.split(", ")[2:]) for one in mine}):
-        found = (mine[f"particles, {stage}, {count}, {shape}"] for stage in STAGES)
+    mine = {record.keys: record for record in records if record.keys[0] == "particles"}
+    for count, shape in sorted({keys[2:] for keys in mine}):
+        found = (mine["particles", stage, count, shape] for stage in STAGES)
         rows.append((count, shape, *(f"{1e9 * record.median / record.particles:.1f} ns" for record in found)))
     rows.append(("1e+07", "AMReX, cloud-in-cell", *(number(REFERENCE.get(stage, math.nan), " ns") for stage in STAGES)))
     return rows
@@ -175,9 +175,9 @@ def memory(records: Sequence[Record]) -> list[tuple[str, ...]]:
     """Return the memory of the solver per cell, and of particles."""
     rows: list[tuple[str, ...]] = [("what", "bytes")]
     for record in records:
-        if record.name.startswith("memory, "):
+        if record.keys[0] == "memory":
             for what, value in record.facts.items():
-                rows.append((f"{record.name.removeprefix('memory, ')}: {what.removeprefix('bytes ')}", figure(value)))
+                rows.append((f"{', '.join(record.keys[1:])}: {what.removeprefix('bytes ')}", figure(value)))
     return rows
 
 
@@ -185,7 +185,7 @@ def steps(records: Sequence[Record]) -> list[tuple[str, ...]]:
     """Return whole steps, with the stages of ours."""
     rows: list[tuple[str, ...]] = [("step of", "time", "stages")]
     for record in records:
-        if record.name.startswith("step, "):
+        if record.keys[0] == "step":
             stages = (f"{stage} {1e3 * spent:.3g} ms" for stage, spent in record.facts.get("stages", {}).items())
             rows.append((record.name.removeprefix("step, "), f"{record.median:.3g} s", ", ".join(stages)))
     return rows

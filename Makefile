@@ -196,13 +196,13 @@ SANITIZE := build/sanitize
 SANITIZERS := -fsanitize=address,undefined -fno-sanitize=vptr -fno-omit-frame-pointer -O1 -g1 -DAMRPIC_NO_POOL
 SANITIZED = env PYTHONPATH=$(CURDIR)/$(SANITIZE)/python \
   LD_PRELOAD="$$(gcc -print-file-name=libasan.so) $$(gcc -print-file-name=libstdc++.so)" \
-  ASAN_OPTIONS=detect_leaks=0:detect_stack_use_after_return=0:quarantine_size_mb=64:allocator_may_return_null=1 \
+  ASAN_OPTIONS=detect_leaks=0:detect_stack_use_after_return=0:quarantine_size_mb=64:allocator_may_return_null=1:handle_abort=1 \
   UBSAN_OPTIONS=print_stacktrace=1:halt_on_error=1
 # The history of residuals is that of the ordinary build, which fuses products and sums; and there is no pool to be tested.
 ONE_RANK := not 2r and not 3r and not 4r and not static_64_takes_six_cycles and not used_again and not idle_memory
 NATIVE_TESTS := $(foreach name,solver_oracle poisson matrixfree composite deposit particles clouds free_space compensation fourth_order fem_operators,$(wildcard tests/*/test_$(name).py))
 
-sanitize: setup  ## tests of the native side under the address and undefined behaviour sanitizers
+sanitize: setup  ## tests of the native side under sanitizers, with bounds of boxes checked
 	@mkdir -p $(SANITIZE)/python
 	@[ -f $(SANITIZE)/build.ninja ] || cmake -G Ninja -S . -B $(SANITIZE) -DCMAKE_BUILD_TYPE=None -DAMRPIC_SETS=native \
 	  -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python -DCMAKE_CXX_FLAGS="$(SANITIZERS)" >/dev/null

@@ -25,8 +25,8 @@ from .mesh.field import Field, VectorField  # noqa: E402
 from .mesh.hierarchy import Hierarchy  # noqa: E402
 from .particles.particles import Particles  # noqa: E402
 from .particles.species import Species, SpeciesTable  # noqa: E402
+from .pic.simulation import Simulation  # noqa: E402
 from .results.run_results import Results  # noqa: E402
-from .run.simulation import Simulation  # noqa: E402
 from .scene.bunch_files import ArrayBunch, OpenPMDBunch  # noqa: E402
 from .scene.bunch_shapes import (  # noqa: E402
     GaussianBunch,

@@ -11,6 +11,11 @@ def end_job_on_failure(comm: int) -> None:
     Let a failure of MPI on a communicator of the library's own end the job with one sentence.
     """
 
+def fail_alone(what: str) -> None:
+    """
+    Of a broken promise that one rank alone finds: end a job of several with this sentence; raise, if it has one rank.
+    """
+
 def traffic() -> list[int]:
     """
     Messages and bytes that this process has sent to other ranks so far, and collective calls.
@@ -430,6 +435,14 @@ class SolverOptions:
     @krylov.setter
     def krylov(self, arg: Krylov, /) -> None: ...
     @property
+    def most_direct_readers(self) -> int:
+        """
+        Coarser corrections that more than so many ranks read of one pass through others. The same on all ranks.
+        """
+
+    @most_direct_readers.setter
+    def most_direct_readers(self, arg: int, /) -> None: ...
+    @property
     def neutralize(self) -> bool: ...
     @neutralize.setter
     def neutralize(self, arg: bool, /) -> None: ...
@@ -653,21 +666,19 @@ class FreeSpace:
         lattice_limit: float | None = None,
         separation: float | None = None,
         order: int = 2,
+        fewest_sharing_ranks: int = 33,
     ) -> None: ...
     def walls(self, density: Field) -> list:
         """
         Potential behind the open walls of this rank's cells, by a charge density / eps0. Per level: faces, 2 axis + side; cells (n, 3); and values (n,), all of free space; in order 4 (n, 2), of both ghosts. Collective.
         """
 
-def set_fewest_sharing_ranks(fewest: int) -> int:
-    """
-    So many ranks and more let all know the nodes right below the top of the tree of charge while they are few. Returns what it was. The same on all ranks.
-    """
-
 class OpenWallPlans:
-    def __init__(self, hierarchy: Hierarchy, first_boxes: Sequence[Sequence[int]] = []) -> None:
+    def __init__(
+        self, hierarchy: Hierarchy, first_boxes: Sequence[Sequence[int]] = [], fewest_sharing_ranks: int = 33
+    ) -> None:
         """
-        What all ranks know of the open walls of a mesh. `first_boxes`: per level, where the run of each rank begins, ranks + 1 values, for ranks that need not exist; else those of the mesh. Local.
+        What all ranks know of the open walls of a mesh. `first_boxes`: per level, where the run of each rank begins, ranks + 1 values, for ranks that need not exist; else those of the mesh. So many ranks and more share the nodes right below the top of the tree of charge while they are few. Local.
         """
 
     def counts(self, rank: int, charged: Sequence[Sequence[Sequence[float]]] = []) -> dict:
@@ -763,14 +774,10 @@ def cycle_work(
     post_sweeps: int,
     screening: float = 0.0,
     stretch: Sequence[float] = [1.0, 1.0, 1.0],
+    most_direct_readers: int = 32,
 ) -> list[LevelWork]:
     """
     What one cycle takes of this rank, by levels, the coarsest first: it is rehearsed, and messages are counted. Local for a virtual rank, else collective.
-    """
-
-def set_most_direct_readers(most: int) -> int:
-    """
-    Let coarser corrections that more than so many ranks read of one pass through others; returns what it was. For tests on few ranks. On all ranks.
     """
 
 class CyclePlans:

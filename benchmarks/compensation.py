@@ -13,9 +13,8 @@ from typing import Annotated, get_args
 from mpi4py import MPI
 
 from amrpic.particles.clouds import SHAPES, CompensationKind, Shape
-from amrpic.run.plan import Plan
-from amrpic.run.state import State
-from amrpic.run.step import advance, begin
+from amrpic.pic.state import State
+from amrpic.pic.step import advance, begin
 from amrpic.scene.scene import Scene
 from measuring import CPU_TIME, ROOT, Record, timed
 
@@ -41,13 +40,16 @@ def scene(kind: CompensationKind, shape: Shape, particles: int, cells: int = CEL
 
 def steps(shape: Shape, particles: int, runs: int, cells: int = CELLS) -> Iterator[Record]:
     """Yield the CPU seconds of a step with each choice; the least wall seconds of each stage are in the facts."""
-    plans = [Plan(MPI.COMM_SELF, scene(kind, shape, particles, cells)) for kind in KINDS]
-    states = [advance(begin(plan), plan) for plan in plans]  # the first step makes what lasts
+    begun = [begin(MPI.COMM_SELF, scene(kind, shape, particles, cells)) for kind in KINDS]
+    setups, states = (
+        [setup for _, setup in begun],
+        [advance(*pair) for pair in begun],
+    )  # the first step makes what lasts
     seconds: list[list[float]] = [[] for _ in KINDS]
     stages: list[list[dict[str, float]]] = [[] for _ in KINDS]
     for _ in range(runs):
-        for n, (plan, state) in enumerate(zip(plans, states, strict=True)):
-            work: partial[State] = partial(advance, state, plan)
+        for n, (setup, state) in enumerate(zip(setups, states, strict=True)):
+            work: partial[State] = partial(advance, state, setup)
             taken, after = timed(MPI.COMM_SELF, 1, work, CPU_TIME)
             seconds[n] += taken
             stages[n].append(after.seconds)

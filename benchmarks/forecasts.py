@@ -19,8 +19,8 @@ from mpi4py import MPI
 import amrpic
 from amrpic.commands.methods import scene_from
 from amrpic.commands.text_table import columns
-from amrpic.run.forecast import forecast
-from amrpic.run.initial_particles import make_bunches
+from amrpic.pic.forecast import forecast
+from amrpic.pic.initial_particles import make_bunches
 from amrpic.scene.any_scene import read_data
 from goals import Goal
 from measuring import ROOT, Record, launch, write

@@ -18,7 +18,7 @@ import numpy as np
 from impactx import ImpactX, elements
 from mpi4py import MPI
 
-from amrpic.run.initial_particles import make_particles
+from amrpic.pic.initial_particles import make_particles
 from amrpic.scene.scene import Scene
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE, SPEED_OF_LIGHT
 from verify import beam_line

@@ -18,10 +18,11 @@ from mpi4py import MPI
 import amrpic
 from amrpic import _native
 from amrpic.particles.particles import concatenate
-from amrpic.run.adapt import follow, make_base
-from amrpic.run.initial_particles import make_bunches
-from amrpic.run.particle_fields import ParticleFields
-from amrpic.run.plan import Plan
+from amrpic.pic.adapt import follow, make_base
+from amrpic.pic.frames import first_frames
+from amrpic.pic.initial_particles import make_bunches
+from amrpic.pic.meshed import MeshedParticles, deposit
+from amrpic.pic.setup import resolved, set_up
 from amrpic.stages.migrate import migrate
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -67,12 +68,12 @@ def measure(
 def density(comm: MPI.Comm, base: int, example: str, overrides: tuple[str, ...]) -> amrpic.Field:
     """Return the charge density of a scene at its start, on the mesh that its rule asks for. Collective."""
     changes = [f"domain.cells={base}", "output.write=[]", *overrides]
-    plan = Plan(comm, amrpic.Scene.from_toml(EXAMPLES / f"{example}.toml", changes))
-    mesh = make_base(plan)
-    bunches = make_bunches(comm, plan.scene)
-    plan.settle_clouds(bunches)
+    setup = set_up(comm, amrpic.Scene.from_toml(EXAMPLES / f"{example}.toml", changes))
+    mesh = make_base(comm, setup.scene)
+    bunches = make_bunches(comm, setup.scene)
+    setup = resolved(setup, bunches)
     particles, _ = migrate(concatenate(bunches), mesh)
-    return follow(ParticleFields(particles, mesh, plan)).rho
+    return deposit(follow(MeshedParticles(particles, mesh, first_frames(particles, setup)), None, setup), setup)
 
 
 def slowest(comm: MPI.Comm, work: Callable[[], Any]) -> float:

@@ -19,8 +19,7 @@ from typing import Annotated
 
 from mpi4py import MPI
 
-from amrpic.run.plan import Plan
-from amrpic.run.step import advance, begin
+from amrpic.pic.step import advance, begin
 from amrpic.scene.scene import Scene
 from measuring import BACKEND, RUNNER, Backend, Record, Runs, slowest, timed, work_unit
 
@@ -59,12 +58,12 @@ def scene(cells: int, particles: int, walls: str, backend: str) -> Scene:
 
 def ours(comm: MPI.Comm, cells: int, particles: int, walls: str, backend: str, runs: int) -> Record:
     """Return the record of whole steps, with the median seconds of each stage. Collective."""
-    plan = Plan(comm, scene(cells, particles, walls, backend))
-    state = advance(begin(plan), plan)  # the first step makes what lasts
+    state, setup = begin(comm, scene(cells, particles, walls, backend))
+    state = advance(state, setup)  # the first step makes what lasts
     stages: dict[str, list[float]] = {}
     taken: list[float] = []
     for _ in range(runs):
-        seconds, state = timed(comm, 1, partial(advance, state, plan))
+        seconds, state = timed(comm, 1, partial(advance, state, setup))
         taken += seconds
         for stage, spent in slowest(comm, state.seconds).items():
             stages.setdefault(stage, []).append(spent)

@@ -20,7 +20,7 @@ from mpi4py import MPI
 
 import amrpic
 from amrpic.commands.text_table import columns
-from amrpic.run.memory import run_memory
+from amrpic.pic.memory import run_memory
 from amrpic.stages.regrid import Regridding, regrid
 from goals import Goal
 from growth import law

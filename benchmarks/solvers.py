@@ -23,8 +23,7 @@ from mpi4py import MPI
 
 import amrpic
 from amrpic.errors import SolverError
-from amrpic.run.plan import Plan
-from amrpic.run.step import begin
+from amrpic.pic.step import begin
 from amrpic.scene import solver_options
 from amrpic.stages.poisson import BaseSetup, PoissonSolver
 from measuring import ENVIRONMENT, ROOT, RUNNER, work_unit
@@ -66,7 +65,7 @@ def ten_bunches(comm: MPI.Comm, quick: bool) -> Problem:
     cells, levels = (16, 1) if quick else (48, 2)
     overrides = [f"domain.cells={cells}", f"refinement.levels={levels}", "bunches.0.particles=20000", "output.write=[]"]
     scene = amrpic.Scene.from_toml(ROOT / "examples" / "ten_bunches.toml", overrides)
-    return Problem(begin(Plan(comm, scene)).rho)
+    return Problem(begin(comm, scene)[0].rho)
 
 
 def long_cells(comm: MPI.Comm, quick: bool) -> Problem:

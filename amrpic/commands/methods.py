@@ -8,10 +8,10 @@ from typing import Any, Protocol
 from mpi4py import MPI
 
 from ..errors import SceneError
+from ..pic import limits
+from ..pic.simulation import Simulation
 from ..results.run_results import Results
-from ..run import limits
 from ..run.log import Log
-from ..run.simulation import Simulation
 from ..scene.any_scene import AnyScene
 from ..scene.scene import Scene
 

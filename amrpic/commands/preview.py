@@ -20,19 +20,19 @@ from ..mesh.field import Field
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.window import Window
 from ..particles.particles import Particles, concatenate
+from ..pic.adapt import follow, make_base
+from ..pic.course import Course
+from ..pic.forecast import forecast
+from ..pic.frames import first_frames
+from ..pic.initial_particles import make_bunches, start_of
+from ..pic.limits import machine_memory
+from ..pic.memory import MIB, run_memory
+from ..pic.meshed import MeshedParticles, deposit
+from ..pic.restart import about, writers_of
+from ..pic.setup import Setup, resolved, set_up
+from ..pic.time_step import with_time_step
 from ..progress import progress
-from ..run.adapt import follow, make_base
-from ..run.course import Course
 from ..run.folder import prepare
-from ..run.forecast import forecast
-from ..run.initial_particles import make_bunches, start_of
-from ..run.limits import machine_memory
-from ..run.memory import MIB, run_memory
-from ..run.particle_fields import ParticleFields
-from ..run.plan import Plan
-from ..run.restart import about, writers_of
-from ..run.time_step import settle_time_step
-from ..scene.motion import Leapfrog, RandomWalk
 from ..scene.refinement_rules import (
     CallableRule,
     ChargeDensityRule,
@@ -45,6 +45,7 @@ from ..scene.scene import Scene
 from ..stages.diagnostics import moments
 from ..stages.migrate import migrate
 from ..stages.push import random_walk
+from ..stages.tag import count as number_per_cell
 from ..stages.tag import living
 from ..units import quantity
 from ..view.draw import draw
@@ -66,49 +67,50 @@ def preview(comm: MPI.Comm, scene: Scene, ranks: int, seconds: float = 0.0) -> s
     nothing is solved. Raises what making particles and mesh may raise, and OutputError.
     """
     prepare(comm, scene)
-    plan, notes = _plan_without_solves(comm, scene)
-    base, course = make_base(plan), Course.of_scene(scene)
+    setup, notes = _setup_without_solves(comm, scene)
+    base, course = make_base(setup.comm, scene), Course.of_scene(scene)
     begun = time.perf_counter()
     with progress("making particles"):
         bunches = [bunch.seen_from(course.window) for bunch in make_bunches(comm, scene)]
     made_in = comm.allreduce(time.perf_counter() - begun, op=MPI.MAX)
     start, of_start = start_of(comm, scene)
     notes += of_start
-    plan.settle_clouds(bunches)
+    setup = resolved(setup, bunches)
     particles, gone = migrate(concatenate(bunches), base)
-    fields = follow(ParticleFields(particles, base, plan))
+    beam = follow(MeshedParticles(particles, base, first_frames(particles, setup)), None, setup)
     lost = gone.global_count(comm)
-    made = fields.particles.global_count(comm) + lost
+    made = beam.particles.global_count(comm) + lost
     if lost:
         notes.append(f"{lost} of {made} particles lie outside the domain and would be lost")
-    settle_time_step(fields, course, own_field=False)
-    if isinstance(scene.motion, Leapfrog) and scene.motion.dt == "auto":
+    with_time_step(setup, beam, None, course)
+    if scene.motion.dt == "auto":
         notes.append("the particles' own field, which a preview does not solve for, may ask for a shorter motion.dt")
-    notes += warnings_of(scene, fields.particles_per_cell, bunches[1:])
+    particles_per_cell = number_per_cell(beam.particles, beam.hierarchy)
+    notes += warnings_of(scene, particles_per_cell, bunches[1:])
     paragraphs = [
         [scene.summary()],
-        _levels(fields.particles_per_cell),
-        _bunches(comm, scene, bunches[1:], fields.hierarchy),
-        _memory(fields, made, ranks),
-        _time(comm, scene, fields.hierarchy, ranks, made_in, seconds) if seconds > 0 else [],
-        [f"note: {note}" for note in [*scene.remarks(), *plan.remarks, *plan.notes, *notes]],
-        list(map(str, _pictures(scene, fields.rho, start, course.window))),
+        _levels(particles_per_cell),
+        _bunches(comm, scene, bunches[1:], beam.hierarchy),
+        _memory(beam, made, ranks, setup),
+        _time(comm, scene, beam.hierarchy, ranks, made_in, seconds) if seconds > 0 else [],
+        [f"note: {note}" for note in [*scene.remarks(), *setup.remarks.warnings, *setup.remarks.notes, *notes]],
+        list(map(str, _pictures(scene, deposit(beam, setup), start, course.window))),
     ]
     return "\n\n".join("\n".join(lines) for lines in paragraphs if lines)
 
 
-def _plan_without_solves(comm: MPI.Comm, scene: Scene) -> tuple[Plan, list[str]]:
-    """Return the plan of a scene whose rule asks for nothing that must be solved for, and what was changed for that."""
+def _setup_without_solves(comm: MPI.Comm, scene: Scene) -> tuple[Setup, list[str]]:
+    """Return the set-up of a scene whose rule asks for nothing that must be solved for, and what was changed for that."""
     asked: list[str] = []
     rule = _without_field(scene.refinement.rule, asked)
     if not asked:
-        return Plan(comm, scene), []
+        return set_up(comm, scene), []
     refinement = scene.refinement.model_copy(update={"rule": rule})
     note = (
         f"refinement.rule asks for the field ({', '.join(asked)}), which a preview does not solve for; in its place cells "
         f"are refined by charge-density, relative = {IN_PLACE:g}"
     )
-    return Plan(comm, scene.model_copy(update={"refinement": refinement})), [note]
+    return set_up(comm, scene.model_copy(update={"refinement": refinement})), [note]
 
 
 def _without_field(rule: RuleKind, asked: list[str]) -> RuleKind:
@@ -216,15 +218,15 @@ def _bunches(comm: MPI.Comm, scene: Scene, made: Sequence[Particles], hierarchy:
     return columns(rows) if scene.bunches else []
 
 
-def _memory(fields: ParticleFields, particles: int, ranks: int) -> list[str]:
+def _memory(beam: MeshedParticles, particles: int, ranks: int, setup: Setup) -> list[str]:
     """Return how much memory a run takes, and by what. Collective."""
-    hierarchy, mesh = _last_mesh(fields)
+    hierarchy, mesh = _last_mesh(beam, setup)
     boxes = [hierarchy.boxes(level) for level in range(hierarchy.levels)]
-    parts = run_memory(fields.plan.scene, boxes, particles, ranks)
+    parts = run_memory(setup.scene, boxes, particles, ranks)
     of = "1 rank" if ranks == 1 else f"{ranks} ranks"
     return [
         f"memory of a run on {of}: about {sum(parts.values()) / MIB:.0f} MiB at its fullest, {mesh}; "
-        f"{machine_memory(fields.plan.comm) / MIB:.0f} MiB are free here",
+        f"{machine_memory(setup.comm) / MIB:.0f} MiB are free here",
         *columns([(f"  {name}", f"{size / MIB:.0f}", "MiB") for name, size in parts.items()]),
     ]
 
@@ -247,24 +249,22 @@ def _time(comm: MPI.Comm, scene: Scene, hierarchy: Hierarchy, ranks: int, made: 
     return [f"time: {quantity(start, 's')} to the end of the first solve{then}; {source}"]
 
 
-def _last_mesh(fields: ParticleFields) -> tuple[Hierarchy, str]:
+def _last_mesh(beam: MeshedParticles, setup: Setup) -> tuple[Hierarchy, str]:
     """Return the mesh of the last regrid, or else the first one, and which of them it is. Collective.
 
     A random walk can be foreseen; in one leap, so that particles leave the domain and coarse cells behind only there.
     """
-    plan, motion = fields.plan, fields.plan.scene.motion
-    end, refinement = plan.scene.schedule.last_step, plan.scene.refinement
+    scene, motion, particles = setup.scene, setup.scene.motion, beam.particles
+    end, refinement = scene.schedule.last_step, scene.refinement
     regrids = [step for step in range(1, end + 1) if refinement.regrids_at(step)]
-    if not isinstance(motion, RandomWalk) or not regrids or regrids[-1] > FORESEEN:
+    if motion.kind != "random-walk" or not regrids or regrids[-1] > FORESEEN:
         moves = end > 0 and refinement.follows
-        return fields.hierarchy, f"on this mesh{'; more if it grows' if moves else ''}"
-    particles = fields.particles
+        return beam.hierarchy, f"on this mesh{'; more if it grows' if moves else ''}"
     for step in range(1, regrids[-1] + 1):
-        particles = random_walk(particles, motion.amplitude, plan.scene.seed, step)
-    particles, _ = migrate(particles, fields.hierarchy)
-    last = follow(ParticleFields(particles, fields.hierarchy, plan), plan.scene.refinement.hysteresis).hierarchy
-    cells = last.cells()
-    return last, f"on the mesh of step {regrids[-1]}, of {cells} cells"
+        particles = random_walk(particles, motion.amplitude, scene.seed, step)
+    particles, _ = migrate(particles, beam.hierarchy)
+    last = follow(MeshedParticles(particles, beam.hierarchy, beam.frames), None, setup, refinement.hysteresis).hierarchy
+    return last, f"on the mesh of step {regrids[-1]}, of {last.cells()} cells"
 
 
 # ---- pictures ----

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import Protocol
@@ -127,11 +128,20 @@ def cells(hierarchy: Mesh) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(centres), np.concatenate(widths)
 
 
+@contextmanager
+def _refused_as_input() -> Iterator[None]:
+    """Raise InputError for what the native side refuses."""
+    try:
+        yield
+    except _native.HierarchyError as failure:
+        raise InputError(str(failure)) from None
+
+
 def cells_around(hierarchy: Mesh, points: ArrayLike, radius: ArrayLike) -> Neighbours:
     """Return the uncovered cells of all levels whose centres lie within a radius of points (n, 3), by index; in m.
 
     Cells are numbered as by `cells`. Neighbours end at the faces of the domain, periodic ones too. Not collective: boxes are
-    known on all ranks.
+    known on all ranks. Raises InputError for more cells of a hierarchy than 32 bits number.
     """
     places = finite(points, "the points", 2)
     if places.shape[1] != 3:
@@ -141,7 +151,8 @@ def cells_around(hierarchy: Mesh, points: ArrayLike, radius: ArrayLike) -> Neigh
         raise InputError(f"point {int(np.argmin(distances))} has radius {distances.min()}; give a positive one")
 
     def search(which: np.ndarray, lengths: np.ndarray) -> Neighbours:
-        start, index = hierarchy.native.cells_around(np.ascontiguousarray(places[which]), lengths)
+        with _refused_as_input():
+            start, index = hierarchy.native.cells_around(np.ascontiguousarray(places[which]), lengths)
         return Neighbours(start, index, lengths)
 
     return replace(search(np.arange(len(places)), distances), search=search)
@@ -152,14 +163,12 @@ def leaves_around(hierarchy: Mesh, reach: float) -> tuple[np.ndarray, Neighbours
 
     Cells are numbered as by `cells`. Neighbours end at the faces of the domain, periodic ones too. Cells with equal
     surroundings are known at once, for `stencils` with a lattice of half the finest widths. Not collective: boxes are known
-    on all ranks. Raises InputError for a reach below 1 or too long to be told in finest cells.
+    on all ranks. Raises InputError for a reach below 1 or too long to be told in finest cells, and as `cells_around`.
     """
     if not 1 <= reach < np.inf:
         raise InputError(f"reach is {reach}; it is a number of cells, at least 1, for instance 2.1")
-    try:
+    with _refused_as_input():
         leaf, radius, start, index, kind, representative = hierarchy.native.leaves_around(float(reach))
-    except _native.HierarchyError as failure:
-        raise InputError(str(failure)) from None
     return leaf, Neighbours(start, index, radius, None, kind, representative)
 
 

@@ -10,10 +10,10 @@ from mpi4py import MPI
 from ..io import vtkhdf_writer
 from ..io.field_reader import LiveDump
 from ..parallel import global_max
+from ..pic.limits import machine_memory
+from ..pic.memory import MIB
+from ..pic.restart import about, writers_of
 from ..run.folder import prepare
-from ..run.limits import machine_memory
-from ..run.memory import MIB
-from ..run.restart import about, writers_of
 from ..units import quantity
 from ..view.draw import draw
 from ..view.views import View

@@ -15,10 +15,10 @@ from ..io.field_reader import LiveDump
 from ..io.run_status import FINISHED, STOPPED
 from ..io.time_series import Series
 from ..parallel import together
+from ..pic.restart import about, writers_of
 from ..results.run_results import SERIES
 from ..run.folder import set_aside
 from ..run.log import Log, RunLog, line_of
-from ..run.restart import about, writers_of
 from ..run.status import Status
 from ..stages.diagnostics import peak_memory
 from ..view.draw import draw

@@ -10,7 +10,7 @@ from ..errors import InputError
 from ..io.checkpoint_manifest import Header
 from ..io.checkpoint_reader import read, read_manifest
 from ..io.checkpoint_writer import Snapshot
-from ..run.restart import about, require_same
+from ..pic.restart import about, require_same
 from ..scene.differences import differences
 from .scene import Scene
 from .state import Plan, State

@@ -11,10 +11,10 @@ from mpi4py import MPI
 from ..errors import InputError, SolverError
 from ..io import checkpoint_writer
 from ..parallel import world_by_default
+from ..pic.restart import writers_of
 from ..results.run_results import Results
 from ..run.folder import STOP, claimed
 from ..run.log import Log
-from ..run.restart import writers_of
 from ..run.stop import Stop
 from .limits import require_room
 from .record import Recorder

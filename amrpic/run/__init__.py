@@ -1,1 +1,1 @@
-"""A run: the stages put in order, the mesh that follows the particles, output, restart, limits of the machine."""
+"""The life of a run, whatever its method: its folder, log, status, clock, and how it is stopped."""

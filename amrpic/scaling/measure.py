@@ -19,8 +19,8 @@ from ..failure import Meeting, sentence
 from ..mesh.boxes import cells_of
 from ..mesh.hierarchy import Hierarchy
 from ..parallel import own, together
+from ..pic.simulation import Simulation
 from ..run.clock import Spent
-from ..run.simulation import Simulation
 from ..scene.scene import Scene
 from .measured import WAITING, WALLS, Run, Stage
 
@@ -62,7 +62,7 @@ def measure(
         if of.step > UNCOUNTED:
             seconds.append(comm.allreduce(taken, op=MPI.MAX))
             walls = of.report.seconds.get("open boundary", 0.0) * _pace(of, clock)
-            stages.append(over_ranks(comm, {**_with_walls(of.state.spent, walls), **waiting}))
+            stages.append(over_ranks(comm, {**_with_walls(_of_motion(of), walls), **waiting}))
             cycles.append(of.report.cycles)
             meshes.append(made)
             cells.append(of.hierarchy.cells())
@@ -127,6 +127,14 @@ def _pace(of: Simulation, clock: str) -> float:
     """Return the seconds by a clock for each on the wall, over the latest solve."""
     on_wall = sum(of.report.seconds.values())
     return 1.0 if clock == "wall" else min(of.state.spent["solve"].seconds / max(on_wall, 1e-300), 1.0)
+
+
+def _of_motion(of: Simulation) -> dict[str, Spent]:
+    """Return what stages spent; that of a push in fields, which reads these, is the gather's, and of a walk the push's."""
+    spent = of.state.spent
+    if not of.scene.motion.follows_fields:
+        return spent
+    return {**spent, "gather": spent["push"], "push": Spent()}
 
 
 def _with_walls(spent: Mapping[str, Spent], walls: float) -> dict[str, Spent]:

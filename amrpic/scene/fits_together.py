@@ -9,7 +9,6 @@ from .bunches import DescribedBunch
 from .complaints import complaint
 from .domain import LARGEST_INDEX
 from .elements import ConstantFocusingElement
-from .motion import Leapfrog
 from .obstacles import aperture_names, repeated_names
 from .parts import SceneParts
 from .refinement_rules import StaticBox, StaticRule, every_rule
@@ -136,7 +135,7 @@ def _balance(scene: SceneParts) -> None:
 
 
 def _stretch(scene: SceneParts) -> None:
-    if isinstance(scene.motion, Leapfrog) and scene.solver.stretch != (1.0, 1.0, 1.0):
+    if scene.motion.follows_fields and scene.solver.stretch != (1.0, 1.0, 1.0):
         raise complaint(
             "is for bunches at rest in the scene; the leapfrog finds that of a moving one by itself",
             "leave stretch out, and set motion.frame",
@@ -165,7 +164,7 @@ def _elements(scene: SceneParts) -> None:
 
 
 def _window(scene: SceneParts) -> None:
-    if not isinstance(scene.motion, Leapfrog) or scene.motion.window == "none":
+    if scene.motion.window == "none":
         return
     reference = scene.reference
     if reference is None or not any(reference.mean_momentum):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field
 
@@ -12,7 +12,20 @@ from .section import Section
 from .units import Length, Length3, Time, to_si
 
 
-class NoMotion(Section):
+class WithoutFields(Section):
+    """Motion that follows no field, and so has no time step, pusher, frame, window or reference particle to choose."""
+
+    follows_fields: ClassVar[bool] = False
+    form: ClassVar[str] = ""
+    pusher: ClassVar[str] = ""
+    frame: ClassVar[str] = "lab"
+    energy_bins: ClassVar[int] = 1
+    window: ClassVar[str] = "none"
+    reference: ClassVar[None] = None
+    dt: ClassVar[float] = 0.0
+
+
+class NoMotion(WithoutFields):
     """The particles rest."""
 
     kind: Literal["none"] = "none"
@@ -37,6 +50,7 @@ def _step(value: Any) -> float | str:
 class Leapfrog(Section):
     """Particles move in their own field, relativistically."""
 
+    follows_fields: ClassVar[bool] = True
     kind: Literal["leapfrog"] = "leapfrog"
     form: Literal["kick-drift-kick", "drift-kick-drift"] = Field(
         default="kick-drift-kick",
@@ -87,8 +101,11 @@ class Leapfrog(Section):
     )
 
 
-class RandomWalk(Section):
+class RandomWalk(WithoutFields):
     """Each coordinate of each particle takes a uniform random step: the reference benchmark's motion."""
 
     kind: Literal["random-walk"] = "random-walk"
     amplitude: Length = Field(ge=0, description="Largest change per step and axis, m.")
+
+
+Motion = NoMotion | Leapfrog | RandomWalk

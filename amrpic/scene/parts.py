@@ -18,7 +18,7 @@ from .bunches import DescribedBunch, LatticeBunch
 from .diagnostics import Diagnostics
 from .domain import DomainSection
 from .elements import AnyElement
-from .motion import Leapfrog, NoMotion, RandomWalk, Reference
+from .motion import Motion, NoMotion, Reference
 from .obstacles import AnyAperture, Screen
 from .output import Output
 from .particles import ParticlesSection
@@ -65,7 +65,7 @@ class SceneParts(AnyScene):
     refinement: Refinement = Refinement()
     particles: ParticlesSection = ParticlesSection()
     solver: SolverSection = SolverSection()
-    motion: Annotated[NoMotion | Leapfrog | RandomWalk, Field(discriminator="kind")] = NoMotion()
+    motion: Annotated[Motion, Field(discriminator="kind")] = NoMotion()
     schedule: Schedule = Schedule()
     diagnostics: Diagnostics = Diagnostics()
     output: Output = Output()
@@ -74,8 +74,8 @@ class SceneParts(AnyScene):
     def reference(self) -> Reference | None:
         """The reference particle at the start, if there is one."""
         motion = self.motion
-        if not isinstance(motion, Leapfrog) or motion.reference is not None or motion.window == "none":
-            return motion.reference if isinstance(motion, Leapfrog) else None
+        if motion.reference is not None or motion.window == "none":
+            return motion.reference
         first = self.bunches[0] if self.bunches else None
         if not isinstance(first, DescribedBunch):
             return None
@@ -89,7 +89,7 @@ class SceneParts(AnyScene):
     def window_axis(self) -> int | None:
         """The axis that the window starts along, if there is one."""
         reference = self.reference
-        if not isinstance(self.motion, Leapfrog) or self.motion.window == "none" or reference is None:
+        if self.motion.window == "none" or reference is None:
             return None
         return int(np.argmax(np.abs(reference.mean_momentum)))
 

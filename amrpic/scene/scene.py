@@ -12,7 +12,6 @@ from pydantic import model_validator
 
 from .. import html
 from .fits_together import check
-from .motion import Leapfrog, NoMotion
 from .obstacles import out_of_reach
 from .parts import SceneParts
 from .section import Section
@@ -51,7 +50,7 @@ class Scene(SceneParts):
     def extrapolates_potential(self) -> bool:
         """Whether solves start from what the potentials of the two steps before lead to: of particles that fly on, where few
         cycles are enough."""
-        return isinstance(self.motion, Leapfrog) and self.solver.tolerance == "discretization"
+        return self.motion.follows_fields and self.solver.tolerance == "discretization"
 
     def summary(self) -> str:
         """Return in one line what the scene is."""
@@ -77,7 +76,7 @@ class Scene(SceneParts):
         out = self.domain.remarks()
         if self.particle_count() == 0 and not any(bunch.source for bunch in self.bunches):
             out.append("the scene has zero particles; the field is that of the boundary alone")
-        if self.elements and not isinstance(self.motion, Leapfrog):
+        if self.elements and not self.motion.follows_fields:
             out.append(f'elements act on nothing, since motion.kind is "{self.motion.kind}"; set it to "leapfrog"')
         for number, bunch in enumerate(self.bunches):
             if isinstance(bunch, ThermalBunch) and not math.isclose(bunch.length, self.domain.value.period(2)):
@@ -85,9 +84,9 @@ class Scene(SceneParts):
                     f"bunches.{number} is a piece of a continuous beam, {bunch.length:g} m long, which a domain would continue "
                     "that is periodic along z over this length"
                 )
-        if self.screens and isinstance(self.motion, NoMotion):
+        if self.screens and self.motion.kind == "none":
             out.append('nothing passes screens, since motion.kind is "none"; set it to "leapfrog"')
-        if not isinstance(self.motion, Leapfrog) or self.motion.window == "none":
+        if self.motion.window == "none":
             out += out_of_reach(self.apertures, self.screens, self.domain.lower[2], self.domain.upper[2])
         tests = [str(number) for number, bunch in enumerate(self.bunches) if not bunch.self_field]
         if tests and any(getattr(self.bunches[int(number)], "charge", None) for number in tests):

@@ -62,4 +62,5 @@ class Deposition:
             self._native.finish()
         except IndexError as moved:
             raise ParticleError(str(moved)) from None
+        del self._native  # whose memory is for this deposit alone
         return self._density

@@ -19,7 +19,7 @@ from ..particles.particles import Particles
 from ..units import VACUUM_PERMITTIVITY, Quantity
 
 ALL = _native.BeamParts([0], [0], [0.0], [0.0])  # as one part of a beam
-STAGES = ("beam", "push", "migrate", "regrid", "deposit", "solve", "gather", "output")
+STAGES = ("beam", "migrate", "regrid", "deposit", "solve", "push", "output")
 
 
 def quantities(levels: int) -> list[Quantity]:

@@ -17,10 +17,11 @@ from ..mesh.boxes import scaled_cells
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..particles.particles import concatenate
-from ..run.adapt import follow, make_base
-from ..run.initial_particles import make_bunches
-from ..run.particle_fields import ParticleFields
-from ..run.plan import Plan
+from ..pic.adapt import follow, make_base
+from ..pic.frames import first_frames
+from ..pic.initial_particles import make_bunches
+from ..pic.meshed import MeshedParticles
+from ..pic.setup import Setup, resolved, set_up
 from ..scene.motion import NoMotion
 from ..scene.refinement_rules import StaticRule, every_rule
 from ..scene.scene import Scene
@@ -333,14 +334,14 @@ class Case:
         """The potential of the charge half a finest cell away along all axes."""
         shift = tuple(float(h) / 2 for h in self.hierarchy.spacing(self.hierarchy.levels - 1))
         moved = Moved(self.density, shift)  # type: ignore[arg-type]
-        return self.plan(1e-10).solve(self.filled(moved), None)[0]
+        return self.set_up(1e-10).solvers.solve(self.filled(moved), None)[0]
 
     @cached_property
     def converged(self) -> VectorField:
         """The field that a solve to 1e-10 gives."""
-        plan = self.plan(1e-10)
-        phi, _ = plan.solve(self.rho, self.guess)
-        return plan.poisson(self.hierarchy).electric_field(phi)
+        solvers = self.set_up(1e-10).solvers
+        phi, _ = solvers.solve(self.rho, self.guess)
+        return solvers.poisson(self.hierarchy).electric_field(phi)
 
     def filled(self, density: Density) -> Field:
         """Means over cells: in order 4 known as such."""
@@ -349,10 +350,10 @@ class Case:
             out.holds = "means"
         return out
 
-    def plan(self, tolerance: float | str) -> Plan:
+    def set_up(self, tolerance: float | str) -> Setup:
         chosen = {"tolerance": tolerance, "order": self.order}
         solver = self.scene.solver.model_copy(update=chosen)
-        return Plan(self.hierarchy.comm, self.scene.model_copy(update={"solver": solver}))
+        return set_up(self.hierarchy.comm, self.scene.model_copy(update={"solver": solver}))
 
 
 def _measured(
@@ -371,16 +372,16 @@ def _measured(
 
 
 def _one(case: Case, setting: Setting, exact: ExactField, by_mesh: float) -> Measured:
-    comm, plan = case.hierarchy.comm, case.plan(setting.tolerance)
+    comm, solvers = case.hierarchy.comm, case.set_up(setting.tolerance).solvers
     rho, guess = case.rho, case.guess if setting.warm else None
     comm.Barrier()
     start = time.perf_counter()
-    solver = plan.poisson(case.hierarchy)
+    solver = solvers.poisson(case.hierarchy)
     setup, seconds = time.perf_counter() - start, np.inf
     for _ in range(3):
         comm.Barrier()
         start = time.perf_counter()
-        phi, report = plan.solve(rho, guess)
+        phi, report = solvers.solve(rho, guess)
         efield = solver.electric_field(phi)
         seconds = min(seconds, comm.allreduce(time.perf_counter() - start, op=MPI.MAX))
     error = errors(efield.components, exact)[0]
@@ -405,12 +406,12 @@ def _case(comm: MPI.Comm, scene: Scene, setting: Setting, density: Density) -> C
             "refinement": scene.refinement.model_copy(update={"levels": setting.levels, "max_grid_size": setting.box}),
         }
     )
-    plan = Plan(comm, varied)
-    base = make_base(plan)
+    base = make_base(comm, varied)
     bunches = make_bunches(comm, varied)
-    plan.settle_clouds(bunches)
+    setup = resolved(set_up(comm, varied), bunches)
     particles, _ = migrate(concatenate(bunches), base)
-    return Case(varied, follow(ParticleFields(particles, base, plan)).hierarchy, density, setting.order)
+    beam = follow(MeshedParticles(particles, base, first_frames(particles, setup)), None, setup)
+    return Case(varied, beam.hierarchy, density, setting.order)
 
 
 def _reference(scene: Scene, density: Density) -> ExactField:
@@ -419,9 +420,9 @@ def _reference(scene: Scene, density: Density) -> ExactField:
     block = scene.refinement.blocking_factor
     fine = replace(default, cells=scaled_cells(default.cells, FINER, block), tolerance=1e-10, warm=False)
     case = _case(MPI.COMM_SELF, scene, fine, density)
-    plan = case.plan(1e-8)
-    phi, _ = plan.solve(case.rho, None)
-    efield = plan.poisson(case.hierarchy).electric_field(phi)
+    solvers = case.set_up(1e-8).solvers
+    phi, _ = solvers.solve(case.rho, None)
+    efield = solvers.poisson(case.hierarchy).electric_field(phi)
     return lambda *place: _sampled(efield, *place)
 
 

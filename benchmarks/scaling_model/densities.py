@@ -16,8 +16,8 @@ from amrpic.errors import InputError
 from amrpic.mesh.boxes import cells_of
 from amrpic.mesh.hierarchy import Hierarchy
 from amrpic.particles.sampling import draw
-from amrpic.run.particle_fields import ParticleFields
-from amrpic.run.tagging_rules import apart, index_boxes, tags_of
+from amrpic.pic.quantities import Quantities
+from amrpic.pic.tagging_rules import apart, index_boxes, tags_of
 from amrpic.scene.bunch_shapes import GaussianBunch
 from amrpic.scene.bunches import Bunch, LatticeBunch, Train
 from amrpic.scene.motion import RandomWalk
@@ -114,7 +114,7 @@ def _counted(points: np.ndarray) -> Callable[[Edges], np.ndarray]:
 class Densities:
     """Cell values of clouds on a hierarchy of one rank, made box by box where there are any.
 
-    `rho` and `particles_per_cell` stand for those of `run.particle_fields` in the rules: their arrays hold the cells of `boxes`
+    `rho` and `particles_per_cell` stand for those of `pic.quantities` in the rules: their arrays hold the cells of `boxes`
     alone, one after the other; all others hold nothing.
     """
 
@@ -150,6 +150,10 @@ class Densities:
             out[at : at + values.size] = values
             at += values.size
         return out
+
+    def __getitem__(self, name: str) -> _Values:
+        values: _Values = getattr(self, name)
+        return values
 
     @cached_property
     def rho(self) -> _Values:
@@ -195,11 +199,11 @@ def planned_mesh(scene: Scene, clouds: Sequence[Cloud]) -> tuple[Hierarchy, list
     rule = None if rule is None else _without_fields(rule, asked)
     settings = Regridding(refinement.levels + 1, refinement.buffer, refinement.nesting, refinement.efficiency)
     mesh = Hierarchy(MPI.COMM_SELF, scene.domain.value, (), refinement.max_grid_size, refinement.blocking_factor)
-    for _ in range(2 * refinement.levels):  # as `run.adapt.follow`
+    for _ in range(2 * refinement.levels):  # as `pic.adapt.follow`
         tags: Tags = []
         if rule is not None:
             densities = Densities(clouds, mesh)
-            tags = densities.spread(tags_of(rule, cast(ParticleFields, densities)))
+            tags = densities.spread(tags_of(rule, cast(Quantities, densities)))
         made = regrid(mesh, tags, settings, index_boxes(static, mesh.domain))
         if made is mesh:
             break

@@ -19,7 +19,7 @@ from amrpic.mesh.hierarchy import Hierarchy
 from amrpic.parallel import VirtualRank, traffic
 from amrpic.particles.clouds import Clouds
 from amrpic.particles.particles import Particles
-from amrpic.run.initial_particles import make_particles
+from amrpic.pic.initial_particles import make_particles
 from amrpic.scene.bunches import Train
 from amrpic.scene.motion import Leapfrog, RandomWalk
 from amrpic.scene.scene import Scene

@@ -6,6 +6,7 @@
 
 #include "base/brought.hpp"
 #include "base/destinations.hpp"
+#include "base/error.hpp"
 
 namespace amrpic {
 
@@ -51,6 +52,13 @@ int& rounds_of(MPI_Comm comm) {
 }
 
 }  // namespace
+
+void fail_alone(std::string const& what) {
+  int ranks = 1;
+  MPI_Comm_size(MPI_COMM_WORLD, &ranks);
+  if (ranks == 1) throw std::logic_error(what);
+  end_job(MPI_COMM_WORLD, what);
+}
 
 Traffic& traffic() {
   static Traffic all;

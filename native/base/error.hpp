@@ -1,6 +1,7 @@
 #pragma once
 
 #include <stdexcept>
+#include <string>
 
 namespace amrpic {
 
@@ -13,5 +14,9 @@ struct HierarchyError : std::runtime_error {
 struct SolverError : std::runtime_error {
   using std::runtime_error::runtime_error;
 };
+
+/// Of a promise that the code itself breaks, as one rank alone finds: others may wait for that rank, so a job of
+/// several ends with one sentence. Of a single rank, throws std::logic_error. Local; does not return.
+[[noreturn]] void fail_alone(std::string const& what);
 
 }  // namespace amrpic

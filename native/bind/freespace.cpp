@@ -153,15 +153,18 @@ void bind_freespace(nb::module_& m) {
       .def(
           "__init__",
           [](OpenWalls* self, std::shared_ptr<Hierarchy const> const& mesh, std::optional<double> acceptance,
-             std::optional<double> lattice_limit, std::optional<double> separation, int order) {
+             std::optional<double> lattice_limit, std::optional<double> separation, int order,
+             int fewest_sharing_ranks) {
             Options options = options_beside(wall_mesh(*mesh), order);
             options.acceptance = acceptance.value_or(options.acceptance);
             options.lattice_limit = lattice_limit.value_or(options.lattice_limit);
             options.separation = separation.value_or(options.separation);
+            options.fewest_sharing_ranks = fewest_sharing_ranks;
             new (self) OpenWalls(mesh, options);
           },
           "hierarchy"_a, "acceptance"_a = nb::none(), "lattice_limit"_a = nb::none(), "separation"_a = nb::none(),
-          "order"_a = Options{}.operator_order, nb::call_guard<nb::gil_scoped_release>())
+          "order"_a = Options{}.operator_order, "fewest_sharing_ranks"_a = Options{}.fewest_sharing_ranks,
+          nb::call_guard<nb::gil_scoped_release>())
       .def(
           "walls",
           [](OpenWalls& self, Field const& density) {
@@ -187,20 +190,20 @@ void bind_freespace(nb::module_& m) {
           "+ "
           "side; cells (n, 3); and values (n,), all of free space; in order 4 (n, 2), of both ghosts. Collective.");
 
-  m.def(
-      "set_fewest_sharing_ranks", [](int fewest) { return std::exchange(fewest_sharing_ranks(), fewest); }, "fewest"_a,
-      "So many ranks and more let all know the nodes right below the top of the tree of charge while they are few. "
-      "Returns what it was. The same on all ranks.");
   nb::class_<WallGeometry>(m, "OpenWallPlans")
       .def(
           "__init__",
           [](WallGeometry* self, std::shared_ptr<Hierarchy const> const& mesh,
-             std::vector<std::vector<int>> const& first_boxes) {
-            new (self) WallGeometry(shared_out(*mesh, first_boxes), options_beside(wall_mesh(*mesh), 2));
+             std::vector<std::vector<int>> const& first_boxes, int fewest_sharing_ranks) {
+            Options options = options_beside(wall_mesh(*mesh), 2);
+            options.fewest_sharing_ranks = fewest_sharing_ranks;
+            new (self) WallGeometry(shared_out(*mesh, first_boxes), options);
           },
-          "hierarchy"_a, "first_boxes"_a = std::vector<std::vector<int>>{}, nb::call_guard<nb::gil_scoped_release>(),
+          "hierarchy"_a, "first_boxes"_a = std::vector<std::vector<int>>{},
+          "fewest_sharing_ranks"_a = Options{}.fewest_sharing_ranks, nb::call_guard<nb::gil_scoped_release>(),
           "What all ranks know of the open walls of a mesh. `first_boxes`: per level, where the run of each rank "
-          "begins, ranks + 1 values, for ranks that need not exist; else those of the mesh. Local.")
+          "begins, ranks + 1 values, for ranks that need not exist; else those of the mesh. So many ranks and more "
+          "share the nodes right below the top of the tree of charge while they are few. Local.")
       .def(
           "counts",
           [](WallGeometry const& self, int rank, std::vector<std::array<Point, 2>> const& charged) {

@@ -9,6 +9,7 @@
 
 #include "base/communicator.hpp"
 #include "base/destinations.hpp"
+#include "base/error.hpp"
 #include "base/fma_peak.hpp"
 #include "base/runtime.hpp"
 #include "bind/bind.hpp"
@@ -34,6 +35,9 @@ void bind_machine(nb::module_& m) {
   m.def(
       "end_job_on_failure", [](int comm) { amrpic::end_job_on_failure(MPI_Comm_f2c(comm)); }, "comm"_a,
       "Let a failure of MPI on a communicator of the library's own end the job with one sentence.");
+  m.def("fail_alone", &amrpic::fail_alone, "what"_a,
+        "Of a broken promise that one rank alone finds: end a job of several with this sentence; raise, if it has one "
+        "rank.");
   m.def(
       "traffic",
       [] {

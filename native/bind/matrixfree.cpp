@@ -149,21 +149,18 @@ void bind_matrixfree(nb::module_& m) {
   m.def(
       "cycle_work",
       [](std::shared_ptr<Hierarchy const> hierarchy, int pre_sweeps, int post_sweeps, Real screening,
-         Real3 const& stretch) {
+         Real3 const& stretch, int most_direct_readers) {
         nb::gil_scoped_release release;
         auto const stretched = hierarchy->stretched(stretch);
-        return matrixfree::Cycle(stretched->comm(), *stretched, screening * screening, {pre_sweeps, post_sweeps})
+        return matrixfree::Cycle(stretched->comm(), *stretched, screening * screening, {pre_sweeps, post_sweeps}, 2,
+                                 std::make_shared<GapFits>(), most_direct_readers)
             .work();
       },
       "hierarchy"_a, "pre_sweeps"_a, "post_sweeps"_a, "screening"_a = 0.0, "stretch"_a = Real3{1, 1, 1},
+      "most_direct_readers"_a = matrixfree::most_direct_readers,
       "What one cycle takes of this rank, by levels, the coarsest first: it is rehearsed, and messages are counted. "
       "Local "
       "for a virtual rank, else collective.");
-  m.def(
-      "set_most_direct_readers", [](int most) { return std::exchange(matrixfree::most_direct_readers(), most); },
-      "most"_a,
-      "Let coarser corrections that more than so many ranks read of one pass through others; returns what it was. For "
-      "tests on few ranks. On all ranks.");
   nb::class_<matrixfree::CyclePlans>(m, "CyclePlans")
       .def(
           "__init__",

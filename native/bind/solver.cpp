@@ -92,6 +92,9 @@ void bind_solver(nb::module_& m) {
       .def_rw("bottom", &SolverOptions::bottom)
       .def_rw("bottom_preconditioner", &SolverOptions::bottom_preconditioner)
       .def_rw("krylov", &SolverOptions::krylov)
+      .def_rw(
+          "most_direct_readers", &SolverOptions::most_direct_readers,
+          "Coarser corrections that more than so many ranks read of one pass through others. The same on all ranks.")
       .def_rw("neutralize", &SolverOptions::neutralize);
 
   nb::class_<MeshError>(m, "MeshError")

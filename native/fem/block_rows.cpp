@@ -76,8 +76,9 @@ Box parents_box(Box box, Box const& domain) {
   return box;
 }
 
-NodeRegions around(Communicator const& comm, Level const& nodes) {
-  return {comm, nodes, nodes, [](Box const& box) { return box.grow(1); }, [&](int b) { return nodes.box(b).grow(1); }};
+BoxRegions around(Communicator const& comm, Level const& nodes) {
+  return {comm, nodes, nodes, [](Box const& box) { return box.grow(1); },
+          [&](int b) { return nodes.cut_at_walls(nodes.box(b).grow(1)); }};
 }
 
 /// Which of its 27 neighbours a node has at an offset.
@@ -89,9 +90,9 @@ Index3 difference(Index3 const& a, Index3 const& b) { return {a[0] - b[0], a[1] 
 void mask(Communicator const& comm, NodeBlocks& blocks) {
   int const components = blocks.components;
   Level const& nodes = *blocks.nodes;
-  NodeRegions const regions = around(comm, nodes);
-  std::vector<Real> halo(regions.halo_size() * std::size_t(components)), dense;
-  regions.update(components, blocks.free.data(), halo.data());
+  BoxRegions const regions = around(comm, nodes);
+  std::vector<Real> const halo = regions.halo(components, blocks.free.data());
+  std::vector<Real> dense;
   Real* entry = blocks.value.data();
   std::size_t own = 0;
   for (int b = nodes.first_local_box(); b < nodes.last_local_box(); ++b) {
@@ -119,7 +120,7 @@ NodeBlocks node_blocks(Operator const& a, std::vector<Real> free) {
   Lattice const& lattice = a.points().lattice();
   int const components = a.components();
   NodeBlocks out{lattice.share_nodes(), components, std::move(free), {}};
-  NodeRegions const& regions = lattice.regions();
+  BoxRegions const& regions = lattice.regions();
   std::size_t const width = out.width(), own = std::size_t(lattice.own_nodes()) * width;
   out.value.assign(own + regions.halo_size() * width, 0);
   std::vector<LocalIndex> places;
@@ -222,8 +223,8 @@ NodeBlocks Halving::galerkin(NodeBlocks const& a) const {
 }
 
 void Halving::add(int components, Real const* coarse, Real* fine) const {
-  std::vector<Real> halo(parents_.halo_size() * std::size_t(components)), dense;
-  parents_.update(components, coarse, halo.data());
+  std::vector<Real> const halo = parents_.halo(components, coarse);
+  std::vector<Real> dense;
   for (int b = fine_->first_local_box(); b < fine_->last_local_box(); ++b) {
     std::size_t const part = std::size_t(b - fine_->first_local_box());
     Box const& region = parents_.region(part);
@@ -307,8 +308,8 @@ void BlockRows::apply(Real const* u, Real* v) const {
 
 template <int C>
 void BlockRows::apply_as(Real const* u, Real* v) const {
-  std::vector<Real> halo(around_.halo_size() * C), dense, by_component, sums;
-  around_.update(C, u, halo.data());
+  std::vector<Real> const halo = around_.halo(C, u);
+  std::vector<Real> dense, by_component, sums;
   float const* entry = by_group_.data();
   for (int b = nodes_->first_local_box(); b < nodes_->last_local_box(); ++b) {
     std::size_t const part = std::size_t(b - nodes_->first_local_box());

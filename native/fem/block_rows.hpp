@@ -5,8 +5,8 @@
 #include <memory>
 #include <vector>
 
-#include "fem/node_regions.hpp"
 #include "fem/operators.hpp"
+#include "mesh/box_regions.hpp"
 
 namespace amrpic::fem {
 
@@ -47,7 +47,7 @@ class Halving {
 
   Communicator comm_;
   std::shared_ptr<Level const> fine_, coarse_;
-  NodeRegions parents_;  ///< of the nodes of finer boxes
+  BoxRegions parents_;  ///< of the nodes of finer boxes
 };
 
 /// Products with such rows in single precision, for smoothers.
@@ -70,7 +70,7 @@ class BlockRows {
 
   std::shared_ptr<Level const> nodes_;
   int components_;
-  NodeRegions around_;  ///< own nodes and their neighbours
+  BoxRegions around_;  ///< own nodes and their neighbours
   /// Of each group of a plane its blocks' entries, one after the other: parts of the scale, so that none is too small.
   /// Nodes of a line are followed by two that are not own ones, whose entries are zeros.
   std::vector<float, BlockAllocator<float>> by_group_;

@@ -112,10 +112,9 @@ inline void transform(Matrix<P> const& m, V* values) {
 template <int P, int C, class Kernel>
 void sum_over_elements(Lattice const& lattice, std::vector<Points::Filled> const& elements, Real const* u, Real* v,
                        Kernel const& kernel) {
-  NodeRegions const& regions = lattice.regions();
-  std::size_t const halo = regions.halo_size() * C;
-  std::vector<Real> halo_u(Kernel::reads ? halo : 0), halo_v(Kernel::writes ? halo : 0), dense_u, dense_v;
-  if (Kernel::reads) regions.update(C, u, halo_u.data());
+  BoxRegions const& regions = lattice.regions();
+  std::vector<Real> halo_u, halo_v(Kernel::writes ? regions.halo_size() * C : 0), dense_u, dense_v;
+  if (Kernel::reads) halo_u = regions.halo(C, u);
   if (Kernel::writes) std::fill_n(v, std::size_t(lattice.own_nodes()) * C, Real(0));
   for (std::size_t p = 0; p < lattice.parts().size(); ++p) {
     auto const& part = lattice.parts()[p];

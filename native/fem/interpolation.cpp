@@ -52,8 +52,8 @@ std::vector<Real> Interpolation::at_corners(int components, Real const* fine) co
 }
 
 void Interpolation::add(int components, Real const* corners, Real* fine) const {
-  std::vector<Real> halo(corners_->regions().halo_size() * std::size_t(components)), dense;
-  corners_->regions().update(components, corners, halo.data());
+  std::vector<Real> const halo = corners_->regions().halo(components, corners);
+  std::vector<Real> dense;
   for (std::size_t p = 0; p < corners_->parts().size(); ++p) {
     auto const& part = corners_->parts()[p];
     dense.resize(std::size_t(part.nodes.cells()) * std::size_t(components));

@@ -3,7 +3,7 @@
 #include <memory>
 #include <vector>
 
-#include "fem/node_regions.hpp"
+#include "mesh/box_regions.hpp"
 #include "mesh/hierarchy.hpp"
 
 namespace amrpic::fem {
@@ -25,7 +25,7 @@ class Lattice {
   Level const& nodes() const { return *nodes_; }
   std::shared_ptr<Level const> share_nodes() const { return nodes_; }
   /// The nodes of each part.
-  NodeRegions const& regions() const { return regions_; }
+  BoxRegions const& regions() const { return regions_; }
   int degree() const { return degree_; }
   LocalIndex own_nodes() const { return nodes_->local_cells(); }
 
@@ -41,7 +41,7 @@ class Lattice {
   std::shared_ptr<Hierarchy const> hierarchy_;
   int degree_;
   std::shared_ptr<Level const> nodes_;
-  NodeRegions regions_;
+  BoxRegions regions_;
   std::vector<Part> parts_;
 };
 

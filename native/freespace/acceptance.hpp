@@ -22,6 +22,10 @@ struct Options {
   double of_weak = acceptance;  ///< the largest acceptance, of boxes with next to no charge
   double of_images = 0.25;      ///< the acceptance of blocks of copies: hundreds of charges of one sign, perhaps
   int doublings = 3;            ///< of such a block, as long as all else is wide, to where a lattice is closed
+  /// So many ranks and more let all know the nodes right below the top, should that take no larger message than the top
+  /// does: else each that has one sends it to most of the others. Fewer messages than that take no longer than a sum
+  /// over all. The same on all ranks.
+  int fewest_sharing_ranks = 33;
 
   /// What goes with an operator, and with images, which repeat along so many axes: where conductors leave little of the
   /// potential, what is neglected counts for more of it, so that boxes have to be further away; those with less charge

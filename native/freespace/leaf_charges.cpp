@@ -1,7 +1,8 @@
 #include "freespace/leaf_charges.hpp"
 
 #include <map>
-#include <stdexcept>
+
+#include "base/error.hpp"
 
 namespace amrpic::freespace {
 
@@ -17,7 +18,7 @@ LeafCharges::LeafCharges(Octree const& tree, ChargeBlocks const& own, std::vecto
     if (is_visited[n]) continue;
     is_visited[n] = 1;
     TreeNode const& node = tree.nodes[n];
-    if (node.is_closed()) throw std::logic_error("LeafCharges: a node near a wall is not known on its rank");
+    if (node.is_closed()) fail_alone("LeafCharges: a node near a wall is not known on its rank");
     for (int c = 0; c < node.children; ++c) nodes.push_back(node.first_child + c);
     if (node.leaf < 0) continue;
     auto const leaf = std::size_t(node.leaf);
@@ -25,7 +26,7 @@ LeafCharges::LeafCharges(Octree const& tree, ChargeBlocks const& own, std::vecto
     for (int d = 0; d < 3; ++d) key.place[d] = node.first[d] / block_edge;
     auto const found = of_others.find(key);
     bool const is_here = leaf < own_leaves ? own.has_charges(leaf) : found != of_others.end();
-    if (!is_here) throw std::logic_error("LeafCharges: no rank gave the charges of a leaf near a wall");
+    if (!is_here) fail_alone("LeafCharges: no rank gave the charges of a leaf near a wall");
     if (place_.size() <= leaf) place_.resize(leaf + 1, -1);
     place_[leaf] = int(blocks_.size());
     add(node, leaf < own_leaves ? own.charges(leaf) : *found->second, across);

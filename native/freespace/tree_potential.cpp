@@ -3,8 +3,8 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
-#include <stdexcept>
 
+#include "base/error.hpp"
 #include "freespace/near_field.hpp"
 
 namespace amrpic::freespace {
@@ -358,8 +358,7 @@ std::vector<std::vector<Interactions>> TreePotential::interactions(Octree const&
       } else if (!is_far && node.leaf < 0 &&
                  (width ? *width > box.width : node.radius > box.radius || is_mostly_near)) {
         // What is closed on this rank has nothing that its own patches, here or below, are near to.
-        if (is_own[p] && node.is_closed())
-          throw std::logic_error("TreePotential: a node near a wall is not known on its rank");
+        if (is_own[p] && node.is_closed()) fail_alone("TreePotential: a node near a wall is not known on its rank");
         for (int c = node.children; c-- > 0;) stack.push_back({node.first_child + c, image});
       } else if (patch.is_block()) {
         if (is_own[p]) found().mixed.push_back(n);
@@ -496,7 +495,7 @@ void TreePotential::add_mixed(Octree const& tree, std::vector<int> const& nodes,
           near.push_back({patch, image, row, rest, n});
           continue;
         }
-        if (node.is_closed()) throw std::logic_error("TreePotential: a node near a wall is not known on its rank");
+        if (node.is_closed()) fail_alone("TreePotential: a node near a wall is not known on its rank");
         for (int c = node.children; c-- > 0;) stack.push_back({node.first_child + c, rest});
       }
     }

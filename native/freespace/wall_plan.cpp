@@ -25,17 +25,13 @@ bool in_order(LeafPart const& a, LeafPart const& b) {
 
 }  // namespace
 
-int& fewest_sharing_ranks() {
-  static int fewest = 33;  // fewer messages than that take no longer than a sum over all
-  return fewest;
-}
-
 WallGeometry::WallGeometry(WallMesh const& given, Options const& options)
     : mesh(given),
       grids(mesh.lattice, int(mesh.levels.size()) - 1),
       patches(mesh),
       sight(mesh, grids, patches, options),
-      top(grids.with_at_most(most_known_blocks)) {}
+      top(grids.with_at_most(most_known_blocks)),
+      fewest_sharing_ranks(options.fewest_sharing_ranks) {}
 
 int WallGeometry::home(Block const& block) const {
   Level const& level = mesh.level(grids[block.grid].level);
@@ -57,7 +53,7 @@ std::vector<Block> WallGeometry::top_blocks() const {
   return out;
 }
 
-bool WallGeometry::is_shared() const { return mesh.ranks() > 1 && mesh.ranks() >= fewest_sharing_ranks(); }
+bool WallGeometry::is_shared() const { return mesh.ranks() > 1 && mesh.ranks() >= fewest_sharing_ranks; }
 
 int WallGeometry::below_top(int grid) const {
   int out = 0;

@@ -42,10 +42,6 @@ struct LeafPart {
   int box;    ///< this rank's, counted from its first one over all levels; -1: of the other rank
 };
 
-/// So many ranks and more let all know the nodes right below the top, should that take no larger message than the top
-/// does: else each that has one sends it to most of the others. Tests change it.
-int& fewest_sharing_ranks();
-
 /// What all ranks know of the walls of a mesh.
 struct WallGeometry {
   WallGeometry(WallMesh const& given, Options const& options);
@@ -54,7 +50,8 @@ struct WallGeometry {
   BlockGrids grids;
   WallPatches patches;
   Sight sight;
-  int top;  ///< the grid that is known on all ranks
+  int top;                   ///< the grid that is known on all ranks
+  int fewest_sharing_ranks;  ///< of the options
 
   /// The rank of a block, or -1 if the mesh has no cells in it.
   int home(Block const& block) const;

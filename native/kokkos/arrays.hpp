@@ -7,6 +7,8 @@
 #include <type_traits>
 #include <vector>
 
+#include "matrixfree/row_kernels.hpp"
+
 namespace amrpic::kokkos {
 
 using Space = Kokkos::DefaultExecutionSpace;
@@ -76,8 +78,6 @@ void for_each(char const* name, Array<T> const& list, F const& f) {
 
 // ---- rows: on the host each is a thread's, which vectorises along it; elsewhere a team's ----
 
-constexpr int chunk = 256;  ///< cells of a row that a thread of the host has in flight
-
 /// Call f(i, value before, value after) for the cells [first, last) of a row of n, whose ends have values beyond them.
 template <class T, class F>
 KOKKOS_INLINE_FUNCTION void along(int first, int last, int n, T const* here, T left, T right, F const& f) {
@@ -96,7 +96,17 @@ using Team = Kokkos::TeamPolicy<Space>::member_type;
 
 /// Whoever works on one row.
 struct Worker {
+  static constexpr bool has_vectors = on_host;
   Team const* team;  ///< null on the host
+
+  /// Call f(lanes, isotropic) with both as constants; elsewhere cells are no vectors.
+  template <class F>
+  KOKKOS_INLINE_FUNCTION void with_kind(int lanes, bool isotropic, F const& f) const {
+    if constexpr (on_host)
+      matrixfree::with_kind(lanes, isotropic, f);
+    else
+      f(std::integral_constant<int, 1>(), std::integral_constant<bool, false>());
+  }
 
   /// Run f(i) for i of 0 .. n - 1, none of which reads what another writes.
   template <class F>

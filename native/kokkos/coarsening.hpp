@@ -14,6 +14,7 @@ class Coarsening {
   Coarsening(Communicator const& comm, matrixfree::Coarsening& plan, SweptLevel& fine, SweptLevel& coarse);
 
   /// Leave the coarser level's right-hand side: see matrixfree::Coarsening. All are collective.
+  void prepare_residual();
   void restrict_residual();
   void restrict_right_hand_side();
 
@@ -23,15 +24,14 @@ class Coarsening {
 
   /// Fetch the coarser correction, take its part of the ghosts into the finer right-hand side, and add it to the finer
   /// correction, or put it in its place.
-  void prolong(matrixfree::Coarsening::Into into);
+  void prolong(matrixfree::Into into);
 
   std::size_t bytes() const;
 
   // Parts of the acts, and what kernels read, public because CUDA wants it to be.
   template <bool of_residual>
   void restrict_rows();
-  template <bool set>
-  void prolong_rows();
+  void prolong_rows(bool set);
   struct ParentRow {
     std::int32_t block, y, z;
   };

@@ -360,9 +360,9 @@ struct Sizes {
                                    Value const& value) const {
     Real out = 0;
     if constexpr (on_host) {
-      Real values[chunk];
-      for (int first = 0; first < n; first += chunk) {
-        int const last = n < first + chunk ? n : first + chunk;
+      Real values[matrixfree::chunk];
+      for (int first = 0; first < n; first += matrixfree::chunk) {
+        int const last = n < first + matrixfree::chunk ? n : first + matrixfree::chunk;
         along(first, last, n, here, left, right, [&](int i, T x, T y) { values[i - first] = value(i, x, y); });
         join(out, of_all(values, last - first));
       }

@@ -7,7 +7,7 @@
 namespace amrpic::kokkos {
 
 InterfaceCells::InterfaceCells(matrixfree::InterfaceCells const& plan, matrixfree::Layout const& layout) {
-  std::vector<Side> sides;
+  std::vector<matrixfree::InterfaceSteps> sides;
   std::vector<Face> faces;
   GapTerms::Lists coarse_terms, fine_terms;
   std::vector<std::int32_t> places;  // of all cells, for windows
@@ -50,8 +50,7 @@ InterfaceCells::InterfaceCells(matrixfree::InterfaceCells const& plan, matrixfre
           }
           faces.push_back(face);
         }
-      sides.push_back({std::int32_t(side.cell_u), std::int32_t(side.cell_v), std::int32_t(side.inward),
-                       std::int32_t(side.parent_u), std::int32_t(side.parent_v), side.weight, side.flux_weight});
+      sides.push_back(side);
     }
     of_direction_[std::size_t(direction)].last = std::int32_t(faces.size());
   }
@@ -59,30 +58,18 @@ InterfaceCells::InterfaceCells(matrixfree::InterfaceCells const& plan, matrixfre
             GapTerms(coarse_terms), GapTerms(fine_terms), Array<FourStars<float>>("taken", gaps)};
 }
 
-namespace {
-
-/// Take what the four ghosts before a coarse face have from the cells beside them.
-template <class Side>
-KOKKOS_INLINE_FUNCTION void subtract_stars(Side const& side, float* cell, FourStars<float> const& stars) {
-  for (int b = 0; b < 2; ++b)
-    for (int a = 0; a < 2; ++a)
-      cell[a * side.cell_u + b * side.cell_v] -= side.weight * stars[std::size_t(b)][std::size_t(a)];
-}
-
-}  // namespace
-
 void InterfaceCells::subtract_coarse(Array<float> const& coarse_values, Array<float> const& r) const {
   Lists const on = lists_;
   for_each_face(
       "take ghosts", KOKKOS_LAMBDA(std::int32_t n) {
         Face const& face = on.faces(n);
-        Side const& side = on.sides(face.side);
+        matrixfree::InterfaceSteps const& side = on.sides(face.side);
         FourStars<float> stars{};
         if (face.fit >= 0)
           stars = on.fits.stars(face.fit, &coarse_values(face.parent), side.parent_u, side.parent_v);
         else
           on.coarse_terms.add(~face.fit, stars, [&](std::int32_t place) { return coarse_values(place); });
-        subtract_stars(side, &r(face.cell), stars);
+        side.subtract_ghosts(stars, &r(face.cell));
       });
 }
 
@@ -92,12 +79,9 @@ void InterfaceCells::subtract_in_gaps(Array<float> const& e, Array<float> const&
       "take ghosts in gaps", KOKKOS_LAMBDA(std::int32_t n) {
         Face const& face = on.faces(n);
         if (face.fit >= 0) return;
-        FourStars<float> stars{}, change;
+        FourStars<float> stars{};
         on.fine_terms.add(~face.fit, stars, [&](std::int32_t place) { return e(place); });
-        for (std::size_t b = 0; b < 2; ++b)
-          for (std::size_t a = 0; a < 2; ++a) change[b][a] = stars[b][a] - on.taken(~face.fit)[b][a];
-        subtract_stars(on.sides(face.side), &r(face.cell), change);
-        on.taken(~face.fit) = stars;
+        on.sides(face.side).change_ghosts(stars, on.taken(~face.fit), &r(face.cell));
       });
 }
 
@@ -106,21 +90,15 @@ void InterfaceCells::subtract_flux(Array<float> const& e, Array<float> const& co
   for_each_face(
       "take fluxes", KOKKOS_LAMBDA(std::int32_t n) {
         Face const& face = on.faces(n);
-        Side const& side = on.sides(face.side);
-        float const* const cell = &e(face.cell);
-        auto const through = [&](std::int32_t at) { return difference_at_interface(cell[at], cell[at + side.inward]); };
-        float sum = through(0) + through(side.cell_u) + through(side.cell_v) + through(side.cell_u + side.cell_v);
-        if (face.fit < 0) {
-          auto const& ghosts = on.taken(~face.fit);
-          sum -= float(interface_ghost::coarse) * (ghosts[0][0] + ghosts[0][1] + ghosts[1][0] + ghosts[1][1]);
-        }
-        coarse_values(face.parent) -= side.flux_weight * sum;
+        matrixfree::InterfaceSteps const& side = on.sides(face.side);
+        coarse_values(face.parent) -= side.flux(&e(face.cell));
+        if (face.fit < 0) coarse_values(face.parent) += side.flux_of_ghosts(on.taken(~face.fit));
       });
 }
 
 std::size_t InterfaceCells::bytes() const {
-  return lists_.faces.extent(0) * sizeof(Face) + lists_.sides.extent(0) * sizeof(Side) + lists_.coarse_terms.bytes() +
-         lists_.fine_terms.bytes() + lists_.taken.extent(0) * sizeof(FourStars<float>);
+  return lists_.faces.extent(0) * sizeof(Face) + lists_.sides.extent(0) * sizeof(matrixfree::InterfaceSteps) +
+         lists_.coarse_terms.bytes() + lists_.fine_terms.bytes() + lists_.taken.extent(0) * sizeof(FourStars<float>);
 }
 
 }  // namespace amrpic::kokkos

@@ -21,16 +21,12 @@ class InterfaceCells {
   std::size_t bytes() const;
 
   // What kernels read, public because CUDA wants it to be.
-  struct Side {
-    std::int32_t cell_u, cell_v, inward, parent_u, parent_v;
-    float weight, flux_weight;
-  };
   struct Face {
     std::int32_t side, cell, parent;
     std::int32_t fit;  ///< its number, or ~(that of the gap)
   };
   struct Lists {
-    Array<Side> sides;
+    Array<matrixfree::InterfaceSteps> sides;
     Array<Face> faces;
     NumberedFits fits;
     GapTerms coarse_terms, fine_terms;

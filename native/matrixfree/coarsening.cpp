@@ -17,7 +17,7 @@ Coarsening::Coarsening(Communicator const& comm, SweptLevel& fine, SweptLevel& c
       // Such boxes make up the same larger blocks on both levels, unless they end at seams, which these have at places
       // of their own.
       in_place_(pair.parents_in_place && !fine.layout().has_seam() && !coarse.layout().has_seam()) {
-  lay_out_coarse_patches(comm, ghosts, pair.known);
+  lay_out_coarse_patches(comm, ghosts, pair.most_direct, pair.known);
   if (coarse.level().ranks() == 1 && fine.level().ranks() > 1) plan_gathering();
   if (refines_)
     interface_ = InterfaceCells(fine.level(), coarse.level(), pair.finer, fine.layout(), fine.faces(), coarse_patches_,
@@ -25,7 +25,8 @@ Coarsening::Coarsening(Communicator const& comm, SweptLevel& fine, SweptLevel& c
 }
 
 /// Lay out the parents of own blocks with their ghost cells, and plan how their values come.
-void Coarsening::lay_out_coarse_patches(Communicator const& comm, CoarseGhosts const& ghosts, KnownReads* known) {
+void Coarsening::lay_out_coarse_patches(Communicator const& comm, CoarseGhosts const& ghosts, int most_direct,
+                                        KnownReads* known) {
   Layout const& layout = fine_.layout();
   Level const& coarser = coarse_.level();
   std::vector<Copied> local, local_targets;
@@ -81,13 +82,14 @@ void Coarsening::lay_out_coarse_patches(Communicator const& comm, CoarseGhosts c
   auto const exchange = [&](std::vector<Copied> const& copied, int around, bool has_relays) {
     auto const near = [&](Box const& o) { return o.grow(around).refine(ratio_); };
     auto const regions = [&](int b, auto&& read) { read(level.box(b).coarsen(ratio_).grow(around)); };
-    RoutesOf routes_of;
+    Routes routes{most_direct, {}};
     if (has_relays)
-      routes_of = [&](int owner) {
+      routes.of = [&](int owner) {
         std::shared_ptr<RoutedReads const> found;
         auto& of_owner = known ? (*known)[owner] : found;
         if (!of_owner)
-          of_owner = std::make_shared<RoutedReads const>(copies_asked_of(owner, level, coarser, near, regions));
+          of_owner =
+              std::make_shared<RoutedReads const>(copies_asked_of(owner, level, coarser, near, regions), most_direct);
         return of_owner;
       };
     return RectangleExchange(
@@ -95,7 +97,7 @@ void Coarsening::lay_out_coarse_patches(Communicator const& comm, CoarseGhosts c
         [this](Box const& box, Part const& f) {
           for_each_part(coarse_patches_.begin(), coarse_patches_.end(), box, f);
         },
-        Colours::all, routes_of);
+        Colours::all, routes);
   };
   // Where parents are in place each rank meets its neighbours alone, else all that share the children of one.
   parents_ = exchange(local, reach, !in_place_);
@@ -188,35 +190,31 @@ void Coarsening::gather_from_others(Vector& r) {
     });
 }
 
-void Coarsening::sweep_and_restrict(std::vector<PlaneStage> stages) {
+void Coarsening::prepare_residual() {
+  if (has_gaps_) update_gaps();
+  if (!fine_.has_odd_ring()) return;
+  fine_.run();  // the copies behind it are not swept as their cells are
+  fine_.exchange_corrections(false);
+}
+
+void Coarsening::restrict_residual() {
   Vector& target = clear_target();
-  if (has_gaps_) {
-    fine_.run(stages);
-    stages.clear();
-    update_gaps();
-  }
-  stages.push_back({[&](std::size_t b, int k, RowChoice const&) {
-                      if (b < sources_.size())
-                        fine_.sweep().restrict_residual(b, k, fine_.right_hand_side(), fine_.correction(), taking(b),
-                                                        weight(), target);
-                    },
-                    both_colours, 0});
-  if (fine_.has_odd_ring()) {  // the copies behind it have not been swept as their cells were
-    PlaneStage const restriction = std::move(stages.back());
-    stages.pop_back();
-    fine_.run(stages);
-    fine_.exchange_corrections(false);
-    stages = {restriction};
-  }
-  fine_.run(stages);
+  fine_.then({[&](std::size_t b, int k, RowChoice const&) {
+                if (b < sources_.size())
+                  fine_.sweep().restrict_to<true>(b, k, fine_.right_hand_side(), fine_.correction(), taking(b),
+                                                  weight(), target);
+              },
+              both_colours, 0});
+  fine_.run();
   interface_.subtract_flux(fine_.correction(), target);
   add_to_coarse_level();
 }
 
 /// Take what fits in gaps have of the finer correction into its right-hand side, from up-to-date copies.
 void Coarsening::update_gaps() {
+  fine_.run();
   fine_.exchange_corrections(false);
-  fine_.run({});
+  fine_.run();
   interface_.subtract_in_gaps(fine_.correction(), fine_.right_hand_side());
 }
 
@@ -227,10 +225,11 @@ void Coarsening::refresh_gaps() {
 
 void Coarsening::restrict_right_hand_side() {
   Vector& target = clear_target();
-  fine_.run({{[&](std::size_t b, int k, RowChoice const&) {
+  fine_.then({[&](std::size_t b, int k, RowChoice const&) {
     if (b < sources_.size())
-      fine_.sweep().restrict_right_hand_side(b, k, fine_.right_hand_side(), taking(b), weight(), target);
-  }}});
+      fine_.sweep().restrict_to<false>(b, k, fine_.right_hand_side(), fine_.correction(), taking(b), weight(), target);
+  }});
+  fine_.run();
   add_to_coarse_level();
 }
 
@@ -254,7 +253,7 @@ void Coarsening::add_to_coarse_level() {
   if (own_parts_ > 0) gather_from_others(r);
 }
 
-std::vector<PlaneStage> Coarsening::prolongation(Into into) {
+void Coarsening::prolong(Into into) {
   parents_.update(coarse_.correction().data(), values_.data());
   for (Copy const& c : ghosts_) values_[std::size_t(c.to)] = c.factor * values_[std::size_t(c.from)];
   interface_.subtract_coarse(values_, fine_.right_hand_side());
@@ -267,7 +266,7 @@ std::vector<PlaneStage> Coarsening::prolongation(Into into) {
   Layout const& layout = fine_.layout();
   bool const all_now = (into == Into::place && !in_place_) || has_gaps_;
   fine_.corrections_are_new();
-  if (fine_.is_thin() && !all_now) return {{prolong, 0, both_colours}};
+  if (fine_.is_thin() && !all_now) return fine_.then({prolong, 0, both_colours});
   for (std::size_t b = 0; b < layout.own_blocks(); ++b) {
     Box const& box = layout.blocks()[b].box;
     for (int k = box.lower[2]; k <= box.upper[2]; ++k)
@@ -275,10 +274,10 @@ std::vector<PlaneStage> Coarsening::prolongation(Into into) {
   }
   if (has_gaps_) update_gaps();
   fine_.exchange_corrections(refines_);
-  if (all_now) return {};
-  return {{[&layout, prolong](std::size_t b, int k, RowChoice const&) {
+  if (all_now) return;
+  fine_.then({[&layout, prolong](std::size_t b, int k, RowChoice const&) {
     if (b < layout.own_blocks()) prolong(b, k, layout.rows_by_copies(b, k, false));
-  }}};
+  }});
 }
 
 std::size_t Coarsening::bytes() const {

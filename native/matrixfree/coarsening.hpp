@@ -4,6 +4,7 @@
 
 #include "base/communicator.hpp"
 #include "matrixfree/interface_cells.hpp"
+#include "matrixfree/level_acts.hpp"
 #include "matrixfree/swept_level.hpp"
 
 namespace amrpic::kokkos {
@@ -30,18 +31,20 @@ class Coarsening {
     bool has_gaps = false;                        ///< somewhere, on any rank, see `GapFit`
     Level const* finer = nullptr;                 ///< the level after the finer one
     std::shared_ptr<GapFits> gap_fits = nullptr;  ///< to take fits in gaps from and put them in; if `refines`
+    int most_direct = most_direct_readers;        ///< of its parents
     KnownReads* known = nullptr;  ///< what is known of those that read parents, and is added to; else none
   };
   /// Collective.
   Coarsening(Communicator const& comm, SweptLevel& fine, SweptLevel& coarse, Index3 const& ratio, Pair const& pair,
              CoarseGhosts const& ghosts);
 
-  /// Run stages over the finer level, and in the same pass leave the coarser one's right-hand side. Collective.
+  /// Bring what the finer level's residual is evaluated from, and have fits in gaps in its right-hand side. Collective.
+  void prepare_residual();
+  /// Leave the coarser right-hand side, in one pass with what the finer level put off. Collective.
   ///
   /// Parents receive the mean of the remaining residual; cells beside the finer level lose what its correction sends
   /// through the common faces.
-  void sweep_and_restrict(std::vector<PlaneStage> stages);
-
+  void restrict_residual();
   /// The same for a finer correction of zero, whose values are not read. Collective.
   void restrict_right_hand_side();
 
@@ -51,11 +54,10 @@ class Coarsening {
   void start() { interface_.start(); }
   void refresh_gaps();
 
-  /// Fetch the coarser correction, and take its part of the ghosts into the finer right-hand side; what is returned
-  /// adds it to the finer correction, or takes its place, and is to be run first. Planes that other ranks copy have it
-  /// already, and are on their way to them. Collective.
-  enum class Into { sum, place };
-  std::vector<PlaneStage> prolongation(Into into);
+  /// Fetch the coarser correction, take its part of the ghosts into the finer right-hand side, and add it to the finer
+  /// correction, or put it in its place. Planes that other ranks copy have it at once, and are on their way to them;
+  /// the rest is put off to the sweeps that follow. Collective.
+  void prolong(Into into);
 
   std::set<int> const& neighbours() const { return parents_.neighbours(); }
 
@@ -67,7 +69,7 @@ class Coarsening {
     std::int32_t from, to;
     float factor;
   };
-  void lay_out_coarse_patches(Communicator const& comm, CoarseGhosts const& ghosts, KnownReads* known);
+  void lay_out_coarse_patches(Communicator const& comm, CoarseGhosts const& ghosts, int most_direct, KnownReads* known);
   Vector& clear_target();
   void update_gaps();
   /// The parents that take the residuals of an own block.

@@ -2,7 +2,7 @@
 
 #include <algorithm>
 
-#include "mesh/array_on_box.hpp"
+#include "mesh/box_regions.hpp"
 #include "stencil/intergrid.hpp"
 #include "stencil/laplacian.hpp"
 
@@ -10,103 +10,33 @@ namespace amrpic {
 
 namespace {
 
-/// A part of a window, in the memory of a box of this rank or as another rank sent it.
-struct Part {
-  bool here;
-  RemoteReads::Values values;
-  Box place;  ///< in the window
-};
-
 /// Whether the last cell of a level along an axis, the base's, has no partner to share a parent with. The parent that
 /// it has alone holds no mean, and nothing is known of its neighbours, as of cells at walls.
 bool leaves_a_cell(Level const& level, Index3 const& ratio, int axis) {
   return level.domain().extent(axis) % ratio[axis] != 0;
 }
 
-/// Whether values that come from another image of the domain cross a periodic face where the last cell is alone:
-/// parents do not go on there.
-bool crosses_lone_cell(Level const& level, Index3 const& ratio, Index3 const& shift) {
-  bool out = false;
-  for (int d = 0; d < 3; ++d) out = out || (shift[d] != 0 && leaves_a_cell(level, ratio, d));
-  return out;
-}
-
-/// The overlaps with a region of parents' children where parents go on.
-std::vector<Overlap> overlaps_of_parents(Level const& level, Index3 const& ratio, Box const& region) {
-  auto out = overlaps(level, region);
-  out.erase(std::remove_if(out.begin(), out.end(),
-                           [&](Overlap const& o) { return crosses_lone_cell(level, ratio, o.shift); }),
-            out.end());
-  return out;
-}
-
-/// Values that are read for a window around the parents of each box of a level: one for each `ratio` cells of a level,
-/// up to `reach` beyond the parents, which are `parent_ratio` cells of the boxes' level.
-struct Window {
-  int purpose;  ///< of imports
-  int level;
-  Index3 ratio, parent_ratio;
-  Index3 reach;
-
-  Box around(Box const& box) const { return box.coarsen(parent_ratio).grow(reach); }
-};
-
-/// What passes between ranks for the windows of a level's boxes.
-Reads reads_of(Hierarchy const& hierarchy, int boxes, Window const& window) {
-  Level const &readers = hierarchy.level(boxes), &owners = hierarchy.level(window.level);
-  Reads reads = reads_across_ranks(
-      readers, owners,
-      [&](Box const& o) { return o.coarsen(window.ratio).grow(window.reach).refine(window.parent_ratio); },
-      [&](int b, auto&& read) { read(window.around(readers.box(b)).refine(window.ratio)); });
-  for (auto* list : {&reads.wanted, &reads.asked})
-    list->erase(std::remove_if(list->begin(), list->end(),
-                               [&](Read const& r) { return crosses_lone_cell(owners, window.ratio, r.shift); }),
-                list->end());
-  return coarsened(std::move(reads), window.ratio);
-}
-
-/// Where the parents of this rank's boxes start, one box after the other; boxes + 1 values.
-std::vector<std::int32_t> first_parents(Level const& level, Index3 const& ratio) {
-  std::vector<std::int32_t> out{0};
-  for (int b = level.first_local_box(); b < level.last_local_box(); ++b)
-    out.push_back(out.back() + std::int32_t(level.box(b).coarsen(ratio).cells()));
-  return out;
-}
-
-/// The parts of the window of box b that lie in boxes of the level. `first`: of `first_parents`.
-std::vector<Part> find_parts(Hierarchy const& hierarchy, int boxes, int b, Window const& window,
-                             std::vector<std::int32_t> const& first, RemoteReads const& imports) {
-  Level const& level = hierarchy.level(window.level);
-  std::vector<Part> out;
-  Box const around = window.around(hierarchy.level(boxes).box(b));
-  for (auto const& o : overlaps_of_parents(level, window.ratio, around.refine(window.ratio))) {
-    Box const box = level.box(o.box).coarsen(window.ratio), place = o.part.coarsen(window.ratio);
-    Index3 shift = o.shift;
-    for (int d = 0; d < 3; ++d) shift[d] /= window.ratio[d];
-    Box const own = place.shift_back(shift);
-    bool const here = level.owner(o.box) == level.rank();
-    if (here)
-      out.push_back({here,
-                     {first[std::size_t(o.box - level.first_local_box())] + std::int32_t(box.offset(own.lower)),
-                      box.extent(0), box.extent(0) * box.extent(1)},
-                     place});
-    else
-      out.push_back({here, imports.find(window.purpose, b, 0, o.box, shift, place), place});
+/// The parents of groups of `ratio` cells of a level, box by box. They do not go on beyond a periodic face before which
+/// a cell is alone.
+Level parents_of(Level const& level, Index3 const& ratio) {
+  std::array<bool, 3> periodic = level.periodic();
+  Real3 spacing = level.spacing();
+  for (int d = 0; d < 3; ++d) {
+    periodic[d] = periodic[d] && !leaves_a_cell(level, ratio, d);
+    spacing[d] *= ratio[d];
   }
-  return out;
+  std::vector<Box> boxes = level.boxes();
+  for (Box& box : boxes) box = box.coarsen(ratio);
+  std::vector<int> first_box;
+  for (int r = 0; r <= level.ranks(); ++r) first_box.push_back(level.first_box(r));
+  return Level(level.domain().coarsen(ratio), periodic, spacing, std::move(boxes), std::move(first_box), level.rank());
 }
 
-/// The values of a window, zero where the level has no cells.
-ArrayOnBox<Real> gather(Box const& box, std::vector<Part> const& parts, Real const* own, RemoteReads const& imports) {
-  ArrayOnBox<Real> out(box, 0.0);
-  for (Part const& p : parts) {
-    Real const* from = (p.here ? own : imports.values()) + p.values.from;
-    for (int k = 0; k < p.place.extent(2); ++k)
-      for (int j = 0; j < p.place.extent(1); ++j)
-        std::copy_n(from + std::ptrdiff_t(j) * p.values.pitch_y + std::ptrdiff_t(k) * p.values.pitch_z,
-                    p.place.extent(0), &out({p.place.lower[0], p.place.lower[1] + j, p.place.lower[2] + k}));
-  }
-  return out;
+/// Regions of the cells of `owners` that reach so far beyond the boxes of parents.
+BoxRegions around(Communicator const& comm, Level const& owners, Level const& parents, Index3 const& reach) {
+  return BoxRegions(
+      comm, owners, parents, [&](Box const& o) { return o.grow(reach); },
+      [&](int b) { return parents.box(b).grow(reach); });
 }
 
 /// Add to a row of n parents `weight` times the sum of each one's children in a row.
@@ -118,57 +48,34 @@ void add_parents(int n, int ratio, Real weight, Real const* __restrict fine, Rea
 }
 
 /// The means over groups of `ratio` cells of this rank's boxes, one box after the other, x fastest.
-std::vector<Real> means(Level const& level, Index3 const& ratio, std::vector<std::int32_t> const& first_parent,
-                        Real const* fine) {
-  std::vector<Real> out(std::size_t(first_parent.back()), 0.0);
+std::vector<Real> means(Level const& level, Index3 const& ratio, Level const& parents, Real const* fine) {
+  std::vector<Real> out(std::size_t(parents.local_cells()), 0.0);
   Real const weight = mean_weight(ratio);
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
-    Box const &box = level.box(b), parents = box.coarsen(ratio);
-    Real* const first = out.data() + first_parent[std::size_t(b - level.first_local_box())];
-    int const n = parents.extent(0);
-    for (int k = 0; k < box.extent(2); ++k)
-      for (int j = 0; j < box.extent(1); ++j, fine += box.extent(0)) {
-        Real* const to =
-            first + std::ptrdiff_t(n) * (j / ratio[1] + std::ptrdiff_t(parents.extent(1)) * (k / ratio[2]));
-        add_parents(box.extent(0) / ratio[0], ratio[0], weight, fine, to);
-      }
+    Box const& to = parents.box(b);
+    for_each_row(level.box(b), [&](Index3 const& first) {
+      Index3 const parent{to.lower[0], floor_divide(first[1], ratio[1]), floor_divide(first[2], ratio[2])};
+      int const count = level.box(b).extent(0);
+      add_parents(count / ratio[0], ratio[0], weight, fine, out.data() + parents.local_offset(b) + to.offset(parent));
+      fine += count;
+    });
   }
   return out;
 }
 
-/// Pack a part of such means.
-Real* pack_means(Level const& level, Index3 const& ratio, std::vector<std::int32_t> const& first,
-                 std::vector<Real> const& means, Read const& read, Real* out) {
-  Box const parents = level.box(read.owner).coarsen(ratio), part = read.cells();
-  Real const* const from = means.data() + first[std::size_t(read.owner - level.first_local_box())];
-  for_each_row(part, [&](Index3 const& first_of_row) {
-    out = std::copy_n(from + parents.offset(first_of_row), part.extent(0), out);
-  });
-  return out;
-}
-
-/// One box for which the truncation error is sought, and what it takes for that.
-struct Task {
-  int box;                ///< local
-  Box parents;            ///< of the box and of the cells around it that prolongation reads
-  std::vector<Part> rho;  ///< means over their children
-  std::vector<Part> phi;  ///< in them and their neighbours: the coarser level's, or means where none is
-};
-
 /// Parents in which the coarser Laplacian is an estimate: all children are uncovered, and they are not at a wall.
-ArrayOnBox<char> usable_parents(Level const& level, Level const* finer, Index3 const& ratio, Box const& parents) {
-  ArrayOnBox<char> out(parents, 0);
-  Box const children = parents.refine(ratio), domain = level.domain().coarsen(ratio);
-  for (auto const& o : overlaps_of_parents(level, ratio, children)) out.fill(o.part.coarsen(ratio), 1);
+ArrayOnBox<char> usable_parents(Level const& level, Level const* finer, Index3 const& ratio, Level const& parents,
+                                Box const& region) {
+  ArrayOnBox<char> out(region, 0);
+  parents.for_each_overlap(region, [&](int, Box const& part, Index3 const&) { out.fill(part, 1); });
   if (finer)
-    for (auto const& o : overlaps(*finer, children.refine(refinement_ratio)))
+    for (auto const& o : overlaps(*finer, region.refine(ratio).refine(refinement_ratio)))
       out.fill(o.part.coarsen(refinement_ratio).coarsen(ratio), 0);
   for (int d = 0; d < 3; ++d) {
-    bool const is_left = leaves_a_cell(level, ratio, d);
-    if (level.periodic()[d] && !is_left) continue;
-    Box below = parents, above = parents;  // with what lies beyond
-    below.upper[d] = domain.lower[d];
-    above.lower[d] = domain.upper[d] - (is_left ? 1 : 0);
+    if (parents.periodic()[d]) continue;
+    Box below = region, above = region;  // with what lies beyond
+    below.upper[d] = parents.domain().lower[d];
+    above.lower[d] = parents.domain().upper[d] - (leaves_a_cell(level, ratio, d) ? 1 : 0);
     out.fill(below, 0);
     out.fill(above, 0);
   }
@@ -251,52 +158,29 @@ Real composite_truncation(CompositeMesh& mesh, Source const& source, Field const
       for (int b = 0; b < mesh.boxes(l); ++b) mesh.clear(l, b, truncation[std::size_t(l)][std::size_t(b)]);
       continue;
     }
-    auto const first = first_parents(mesh.level(l), ratio);
-    auto const first_coarse = l > 0 ? first_parents(mesh.level(l - 1), {1, 1, 1}) : first;
-    enum Purpose { of_rho, of_phi };
-    Index3 const beside{ratio[0] - 1, ratio[1] - 1, ratio[2] - 1};
-    Index3 const further{ratio[0], ratio[1], ratio[2]};
-    Window const rho{of_rho, l, ratio, ratio, beside};
-    Window const potential_window =
-        l > 0 ? Window{of_phi, l - 1, {1, 1, 1}, ratio, further} : Window{of_phi, 0, ratio, ratio, further};
-    RemoteReads imports;
-    for (Window const& window : {rho, potential_window})
-      imports.add(window.purpose, reads_of(mesh.hierarchy(), l, window));
-    imports.plan(mesh.comm());
-    std::vector<Task> tasks;
-    for (int b = 0; b < mesh.boxes(l); ++b) {
-      int const number = mesh.level(l).first_local_box() + b;
-      tasks.push_back({b, rho.around(mesh.box(l, b)), find_parts(mesh.hierarchy(), l, number, rho, first, imports),
-                       find_parts(mesh.hierarchy(), l, number, potential_window, first_coarse, imports)});
-    }
-    auto const charges = means(mesh.level(l), ratio, first, source.rho.level(l).data());
-    auto const potentials = l > 0 ? std::vector<Real>() : means(mesh.level(0), ratio, first, phi.level(0).data());
+    Level const& level = mesh.level(l);
+    Level const parents = parents_of(level, ratio);
+    Level const& coarser = l > 0 ? mesh.level(l - 1) : parents;
+    BoxRegions const rho = around(mesh.comm(), parents, parents, {ratio[0] - 1, ratio[1] - 1, ratio[2] - 1});
+    BoxRegions const phi_near = around(mesh.comm(), coarser, parents, ratio);
+    auto const charges = means(level, ratio, parents, source.rho.level(l).data());
+    auto const potentials = l > 0 ? std::vector<Real>() : means(level, ratio, parents, phi.level(0).data());
     Real const* const coarse_phi = l > 0 ? phi.level(l - 1).data() : potentials.data();
-    imports.start([&](int purpose, Read const& read, Real* out) {
-      if (purpose == of_rho)
-        pack_means(mesh.level(l), ratio, first, charges, read, out);
-      else if (l > 0)
-        mesh.pack_cells(phi, l - 1, read, out);
-      else
-        pack_means(mesh.level(0), ratio, first, potentials, read, out);
-    });
-    imports.finish();
-    imports.settle();
-    for (Task const& task : tasks) {
-      auto const charge = gather(task.parents, task.rho, charges.data(), imports);
-      auto const potential = gather(task.parents.grow(1), task.phi, coarse_phi, imports);
-      auto const usable = usable_parents(mesh.level(l), mesh.hierarchy().has_finer(l) ? &mesh.level(l + 1) : nullptr,
-                                         ratio, task.parents);
-      Real3 spacing;
-      for (int d = 0; d < 3; ++d) spacing[d] = ratio[d] * mesh.level(l).spacing()[d];
-      Equation const coarse = equation_on(spacing, mesh.shift());
-      ArrayOnBox<Real> error(task.parents, 0.0);
-      for_each_row(task.parents, [&](Index3 const& first) {
-        estimate_row(task.parents.extent(0), coarse, &potential(first), potential.box(), &charge(first),
-                     source.background, &usable(first), &error(first));
+    auto const charge_halo = rho.halo(1, charges.data()), phi_halo = phi_near.halo(1, coarse_phi);
+    Equation const coarse = equation_on(parents.spacing(), mesh.shift());
+    for (int b = 0; b < mesh.boxes(l); ++b) {
+      Box const& region = rho.region(std::size_t(b));  // of the box and of the cells around it that prolongation reads
+      auto const charge = rho.values(std::size_t(b), charges.data(), charge_halo);
+      auto const potential = phi_near.values(std::size_t(b), coarse_phi, phi_halo);
+      auto const usable =
+          usable_parents(level, mesh.hierarchy().has_finer(l) ? &mesh.level(l + 1) : nullptr, ratio, parents, region);
+      ArrayOnBox<Real> error(region, 0.0);
+      for_each_row(region, [&](Index3 const& first) {
+        estimate_row(region.extent(0), coarse, &potential(first), potential.box(), &charge(first), source.background,
+                     &usable(first), &error(first));
       });
-      prolong_truncation(mesh, l, task.box, ratio, error, scale[std::size_t(l)],
-                         truncation[std::size_t(l)][std::size_t(task.box)], largest);
+      prolong_truncation(mesh, l, b, ratio, error, scale[std::size_t(l)], truncation[std::size_t(l)][std::size_t(b)],
+                         largest);
     }
   }
   return largest.over(mesh.comm());

@@ -10,8 +10,11 @@ namespace amrpic::matrixfree {
 
 namespace {
 
-/// The ghost cells of corrections on multigrid level l.
-GhostRules ghost_rules_of(MultigridLevels const& multigrid, OpenWalls const& open_walls, std::size_t l) {
+/// The ghost cells of corrections on level l.
+GhostRules ghost_rules_of(CycleLevels const& multigrid, OpenWalls const& open_walls, std::size_t l) {
+  if (auto const* semicoarse = multigrid.semicoarse(l))
+    return {semicoarse->walls, nullptr, semicoarse->ghost,
+            seam_widths(semicoarse->level->periodic(), semicoarse->upper)};
   GhostRules out;
   out.walls = multigrid.walls[l];
   out.seam_width = seam_widths(multigrid.levels[l]->periodic(), multigrid.upper[l]);
@@ -26,6 +29,16 @@ GhostRules ghost_rules_of(MultigridLevels const& multigrid, OpenWalls const& ope
     return covered ? open_walls.first(l, own, axis, side) : 0;
   };
   return out;
+}
+
+/// How level c ends for prolongation to the level that it corrects, and the means that it takes of that one.
+CoarseGhosts coarse_ghosts_of(CycleLevels const& multigrid, OpenWalls const& open_walls, std::size_t c) {
+  if (auto const* semicoarse = multigrid.semicoarse(c))
+    return {semicoarse->prolonged, semicoarse->children, seam_widths(semicoarse->level->periodic(), semicoarse->upper)};
+  return {[&multigrid, &open_walls, c](Index3 const& cell, int axis, int side) {
+            return prolonged_end(multigrid, open_walls, c, cell, axis, side);
+          },
+          last_children_of(multigrid, c + 1), seam_widths(multigrid.levels[c]->periodic(), multigrid.upper[c])};
 }
 
 constexpr int reach_in_gaps = 4;  ///< how many cells away those lie that fits in gaps take
@@ -62,7 +75,7 @@ bool leaves_mean(MultigridLevels const& multigrid) {
   Real const of_others = smallest_eigenvalue(*multigrid.levels[multigrid.base], multigrid.boundary, 0);
   bool const is_free = std::all_of(multigrid.boundary.begin(), multigrid.boundary.end(), is_closed);
   return is_free &&
-         multigrid.shift < std::max(1e-10 * of_others, 1e-15 * multigrid.equation(multigrid.base).diagonal());
+         multigrid.shift < std::max(1e-9 * of_others, 1e-15 * multigrid.equation(multigrid.base).diagonal());
 }
 
 /// Walls of the coarsest level, with the open ones where corrections vanish behind the middle of each face.
@@ -87,102 +100,57 @@ MultigridLevels Cycle::levels_of(Hierarchy const& hierarchy, Real shift, int ord
 }
 
 Cycle::Cycle(Communicator const& comm, MultigridLevels multigrid, int max_grid_size, Relaxation const& relaxation,
-             std::shared_ptr<GapFits> gap_fits, Known* known)
-    : comm_(comm), multigrid_(std::move(multigrid)), relaxation_(relaxation) {
-  Real const shift = multigrid_.shift;
-  OpenWalls const open_walls(multigrid_);
-  auto const has_gaps = levels_with_gaps(comm, multigrid_);
-  for (std::size_t l = 0; l < multigrid_.levels.size(); ++l) {
-    CycleLevel level;
-    GhostRules const rules = ghost_rules_of(multigrid_, open_walls, l);
+             std::shared_ptr<GapFits> gap_fits, int most_direct, Known* known)
+    : LevelActs(CycleLevels(std::move(multigrid), max_grid_size), {relaxation.pre_sweeps, relaxation.post_sweeps}),
+      comm_(comm) {
+  OpenWalls const open_walls(levels());
+  auto has_gaps = levels_with_gaps(comm, levels());
+  has_gaps.resize(levels().count());
+  auto const swept = [&](std::size_t l) {
+    GhostRules const rules = ghost_rules_of(levels(), open_walls, l);
+    Level const& level = *levels().level(l);
+    bool const is_semicoarse = levels().semicoarse(l), is_semicoarsened = levels().coarser(l).size() > 1;
     Relaxation own = relaxation;
-    own.factor = relaxation_on(*multigrid_.levels[l], shift, multigrid_.halves_at_most(l), relaxation.factor);
-    std::vector<LevelCopy> copies;
-    if (multigrid_.refines(l))
-      copies = semicoarse_copies(multigrid_.levels[l], rules.walls, multigrid_.boundary, max_grid_size);
+    own.factor = relaxation_on(level, levels().shift, levels().halves_at_most(l), relaxation.factor);
+    if (is_semicoarse) {
+      own.pre_sweeps = levels().pre_sweeps(l, sweeps());
+      own.post_sweeps = levels().post_sweeps(l, sweeps());
+    }
     // sweeps that do not start from zero, and a residual after them, read one cell further
-    int const deep = own.halo() + (!copies.empty() || !multigrid_.refines(l) ? 1 : 0);
-    bool const thin = copies.empty() && !has_gaps[l] && has_thin_copies(*multigrid_.levels[l], rules);
+    int const deep = own.halo() + (!is_semicoarse && (is_semicoarsened || !levels().refines(l)) ? 1 : 0);
+    bool const thin = !is_semicoarse && !is_semicoarsened && !has_gaps[l] && has_thin_copies(level, rules);
     int const halo = thin ? 1 : std::max(deep, has_gaps[l] ? reach_in_gaps : 0);
-    level.swept =
-        std::make_unique<SweptLevel>(comm, multigrid_.levels[l], rules, multigrid_.boundary, shift, own, halo);
-    if (l > 0)
-      level.coarsening = std::make_unique<Coarsening>(
-          comm, *level.swept, *levels_.back().swept, multigrid_.ratio[l],
-          Coarsening::Pair{multigrid_.refines(l), multigrid_.parents_in_place[l] != 0, has_gaps[l] != 0,
-                           multigrid_.beside(l).finer, gap_fits, known ? &(*known)[l] : nullptr},
-          CoarseGhosts{[&](Index3 const& cell, int axis, int side) {
-                         return prolonged_end(multigrid_, open_walls, l - 1, cell, axis, side);
-                       },
-                       last_children_of(multigrid_, l),
-                       seam_widths(multigrid_.levels[l - 1]->periodic(), multigrid_.upper[l - 1])});
-    level.local = make_local_cycle(comm, *level.swept, copies, multigrid_.boundary, shift, relaxation);
-    levels_.push_back(std::move(level));
-  }
-  Level const& coarsest = *multigrid_.levels.front();
-  Box const& box = coarsest.domain();
-  Equation const equation = scaled(multigrid_.equation(0), levels_[0].swept->scale());
-  GhostRules const rules = ghost_rules_of(multigrid_, open_walls, 0);
-  direct_ = std::make_unique<FastDiagonalisation>(Index3{box.extent(0), box.extent(1), box.extent(2)}, equation,
-                                                  walls_of_coarsest(multigrid_, rules), coarsest.periodic(),
-                                                  rules.seam_width, leaves_mean(multigrid_));
-}
-
-CycleSteps Cycle::steps() {
-  return {[this](std::size_t l) { levels_[l].coarsening->restrict_right_hand_side(); },
-          [this](std::size_t l, Guess guess) { pre_smooth_and_restrict(levels_[l], guess); },
-          [this](std::size_t l) { prolong_and_post_smooth(levels_[l]); }, [this] { solve_coarsest(); }};
-}
-
-void Cycle::run() {
-  NoDenormals const guard;
-  run_cycle(multigrid_, steps());
-}
-
-/// The stages with sweeps after them, of which all but the last have run where there are gaps: their fits are taken
-/// into account between sweeps.
-std::vector<PlaneStage> Cycle::relaxations(CycleLevel& level, std::vector<PlaneStage> stages, int sweeps,
-                                           bool from_zero, int further) {
-  auto const append = [&](int count) {
-    for (auto& stage : level.swept->relaxations(count, from_zero, further)) stages.push_back(stage);
-    from_zero = false;
+    return std::make_unique<SweptLevel>(comm, levels().level(l), rules, levels().boundary, levels().shift, own, halo);
   };
-  for (; level.coarsening->has_gaps() && sweeps > 1; --sweeps) {
-    append(1);
-    level.swept->run(stages);
-    stages.clear();
-    level.coarsening->refresh_gaps();
-  }
-  append(sweeps);
-  return stages;
+  auto const passage = [&](std::size_t l, std::size_t c) {
+    auto const* semicoarse = levels().semicoarse(c);
+    Coarsening::Pair pair;
+    if (!semicoarse)
+      pair = {levels().refines(l),
+              levels().parents_in_place[l] != 0,
+              has_gaps[l] != 0,
+              levels().beside(l).finer,
+              gap_fits,
+              most_direct,
+              known ? &(*known)[l] : nullptr};
+    return std::make_unique<Coarsening>(comm, this->swept(l), this->swept(c),
+                                        semicoarse ? semicoarse->ratio : levels().ratio[l], pair,
+                                        coarse_ghosts_of(levels(), open_walls, c));
+  };
+  make(swept, passage);
+  Level const& coarsest = *levels().levels.front();
+  Box const& box = coarsest.domain();
+  Equation const equation = scaled(levels().equation(0), this->swept(0).scale());
+  GhostRules const rules = ghost_rules_of(levels(), open_walls, 0);
+  direct_ = std::make_unique<FastDiagonalisation>(Index3{box.extent(0), box.extent(1), box.extent(2)}, equation,
+                                                  walls_of_coarsest(levels(), rules), coarsest.periodic(),
+                                                  rules.seam_width, leaves_mean(levels()));
 }
 
-/// Smooth, then leave the right-hand side of the coarser level.
-void Cycle::pre_smooth_and_restrict(CycleLevel& level, Guess guess) {
-  level.swept->exchange_right_hand_sides();
-  std::vector<PlaneStage> stages;
-  if (guess == Guess::coarser) stages = level.coarsening->prolongation(Coarsening::Into::place);
-  int const sweeps = sweeps_beside(level, relaxation_.pre_sweeps);
-  level.coarsening->start();
-  level.coarsening->sweep_and_restrict(relaxations(level, stages, sweeps, guess == Guess::zero, 1));
-}
-
-/// Add the coarser level's correction, take its part of the ghosts into account, smooth. A cycle of the level's own
-/// comes here, where it also finds what the coarser correction brought in along the coarse axis.
-void Cycle::prolong_and_post_smooth(CycleLevel& level) {
-  auto stages = level.coarsening->prolongation(Coarsening::Into::sum);
-  int const sweeps = sweeps_beside(level, relaxation_.post_sweeps);
-  int const further = level.local ? 1 : 0;  // a residual is taken there
-  stages = relaxations(level, stages, sweeps, false, further);
-  if (level.local) stages = level.local->improve(stages);
-  if (level.last.act) stages.push_back(level.last);
-  level.swept->run(stages);
-}
-
-/// Gathered on every rank where it is not yet there.
 void Cycle::solve_coarsest() {
-  Level const& level = *multigrid_.levels.front();
-  Layout const& layout = levels_[0].swept->layout();
+  Level const& level = *levels().levels.front();
+  SweptLevel& swept = this->swept(0);
+  Layout const& layout = swept.layout();
   values_.assign(std::size_t(level.cells()), 0.0);
   auto for_each_own_row = [&](auto&& f) {
     for (std::size_t b = 0; b < layout.own_blocks(); ++b) {
@@ -192,55 +160,71 @@ void Cycle::solve_coarsest() {
       });
     }
   };
-  Vector const& r = levels_[0].swept->right_hand_side();
+  Vector const& r = swept.right_hand_side();
   for_each_own_row([&](std::size_t place, std::size_t value, int n) { std::copy_n(&r[place], n, &values_[value]); });
   if (level.ranks() > 1) comm_.sum_each(values_);
   direct_->solve(values_);
-  Vector& e = levels_[0].swept->correction();
+  Vector& e = swept.correction();
   for_each_own_row([&](std::size_t place, std::size_t value, int n) {
     std::transform(&values_[value], &values_[value] + n, &e[place], [](Real v) { return float(v); });
   });
-  if (levels_[0].last.act) levels_[0].swept->run({levels_[0].last});
+  swept.finish();
 }
+
+namespace {
+
+/// Acts that note what they send, by levels.
+class CountedActs : public CycleActs {
+ public:
+  CountedActs(CycleActs& acts, std::vector<LevelWork>& work) : acts_(acts), work_(work) {}
+  void pre_smooth(std::size_t l, Guess guess) override { count(l, &CycleActs::pre_smooth, l, guess); }
+  void find_residual(std::size_t l, std::size_t c) override { count(l, &CycleActs::find_residual, l, c); }
+  void restrict_residual(std::size_t l, std::size_t c) override { count(l, &CycleActs::restrict_residual, l, c); }
+  void prolong(std::size_t c, std::size_t l) override { count(l, &CycleActs::prolong, c, l); }
+  void post_smooth(std::size_t l, std::size_t c) override { count(l, &CycleActs::post_smooth, l, c); }
+  void solve_coarsest() override { count(0, &CycleActs::solve_coarsest); }
+  void restrict_right_hand_side(std::size_t l) override { count(l, &CycleActs::restrict_right_hand_side, l); }
+
+ private:
+  template <class Act, class... Arguments>
+  void count(std::size_t l, Act act, Arguments... arguments) {
+    Traffic const before = traffic();
+    (acts_.*act)(arguments...);
+    work_[l].traffic.add_since(before, traffic());
+  }
+
+  CycleActs& acts_;
+  std::vector<LevelWork>& work_;
+};
+
+}  // namespace
 
 std::vector<LevelWork> Cycle::work() {
-  std::vector<LevelWork> out;
-  std::vector<SweepWork> own(levels_.size()), of_copies(levels_.size());
-  for (std::size_t l = 0; l < levels_.size(); ++l) {
-    SweptLevel& swept = *levels_[l].swept;
-    LevelWork work{int(l) - int(multigrid_.base), swept.level().local_cells(), 0, 0, 0, 0, {}};
-    for (CellBlock const& block : swept.layout().blocks()) work.stored += block.box.cells();
+  std::vector<LevelWork> out(levels().count());
+  std::vector<SweepWork> sweeps(out.size());
+  for (std::size_t l = 0; l < out.size(); ++l) {
+    SweptLevel& swept = this->swept(l);
     std::set<int> ranks = swept.neighbours();
-    if (l > 0) ranks.insert(levels_[l].coarsening->neighbours().begin(), levels_[l].coarsening->neighbours().end());
-    work.neighbours = int(ranks.size());
-    out.push_back(work);
-    swept.rehearse(&own[l]);
-    if (levels_[l].local) levels_[l].local->rehearse(&of_copies[l]);
+    if (l > 0 && l <= levels().finest())
+      ranks.insert(passage(l - 1).neighbours().begin(), passage(l - 1).neighbours().end());
+    out[l] = {int(l) - int(levels().base), swept.level().local_cells(), 0, 0, 0, int(ranks.size()), {}};
+    for (CellBlock const& block : swept.layout().blocks()) out[l].stored += block.box.cells();
+    swept.rehearse(&sweeps[l]);
   }
-  auto const counted = [&](std::size_t l, auto const& step, auto... arguments) {
-    Traffic const before = traffic();
-    step(arguments...);
-    out[l].traffic.add_since(before, traffic());
-  };
-  CycleSteps const step = steps();
-  run_cycle(multigrid_, {[&](std::size_t l) { counted(l, step.restrict_right_hand_side, l); },
-                         [&](std::size_t l, Guess guess) { counted(l, step.pre_smooth_and_restrict, l, guess); },
-                         [&](std::size_t l) { counted(l, step.prolong_and_post_smooth, l); },
-                         [&] { counted(0, step.solve_coarsest); }});
-  for (std::size_t l = 0; l < levels_.size(); ++l) {
-    out[l].sweeps = own[l].sweeps;
-    out[l].relaxed = own[l].relaxed + of_copies[l].relaxed;
-    levels_[l].swept->rehearse(nullptr);
-    if (levels_[l].local) levels_[l].local->rehearse(nullptr);
+  CountedActs acts(*this, out);
+  run_cycle(levels(), acts);
+  for (std::size_t l = 0; l < out.size(); ++l) {
+    out[l].sweeps = sweeps[l].sweeps;
+    out[l].relaxed = sweeps[l].relaxed;
+    swept(l).rehearse(nullptr);
+  }
+  // What semicoarsened levels take is their refinement level's.
+  for (std::size_t n = out.size(); n-- > levels().levels.size(); out.pop_back()) {
+    LevelWork& finer = out[levels().finer(n)];
+    finer.relaxed += out[n].relaxed;
+    finer.traffic.add_since({}, out[n].traffic);
   }
   return out;
-}
-
-std::size_t Cycle::bytes() const {
-  std::size_t sum = 0;
-  for (auto const& l : levels_)
-    sum += l.swept->bytes() + (l.coarsening ? l.coarsening->bytes() : 0) + (l.local ? l.local->bytes() : 0);
-  return sum;
 }
 
 }  // namespace amrpic::matrixfree

@@ -5,14 +5,8 @@
 #include "base/communicator.hpp"
 #include "matrixfree/coarsening.hpp"
 #include "matrixfree/direct.hpp"
-#include "matrixfree/local_cycle.hpp"
-#include "operators/multigrid_cycle.hpp"
-#include "operators/multigrid_levels.hpp"
+#include "matrixfree/level_acts.hpp"
 #include "operators/open_walls.hpp"
-
-namespace amrpic::kokkos {
-class Cycle;  // the same on Kokkos, by the same lists
-}
 
 namespace amrpic::matrixfree {
 
@@ -29,62 +23,36 @@ struct LevelWork {
 
 /// The cycle over refinement levels and multigrid levels (see run_cycle) for corrections in residual form, in single
 /// precision and without matrices.
-class Cycle {
+class Cycle : public LevelActs<SweptLevel, Coarsening> {
  public:
   /// `shift`: of the Equation. `order`: of the residual that corrections are for. `gap_fits`: what is known of fits in
-  /// gaps, and is added to. Collective.
+  /// gaps, and is added to. `most_direct`: see `most_direct_readers`. Collective.
   Cycle(Communicator const& comm, Hierarchy const& hierarchy, Real shift, Relaxation const& relaxation, int order = 2,
-        std::shared_ptr<GapFits> gap_fits = std::make_shared<GapFits>())
-      : Cycle(comm, levels_of(hierarchy, shift, order), hierarchy.max_grid_size(), relaxation, std::move(gap_fits)) {}
+        std::shared_ptr<GapFits> gap_fits = std::make_shared<GapFits>(), int most_direct = most_direct_readers)
+      : Cycle(comm, levels_of(hierarchy, shift, order), hierarchy.max_grid_size(), relaxation, std::move(gap_fits),
+              most_direct) {}
   /// What all ranks know of who reads whose corrections, by levels.
   using Known = std::vector<KnownReads>;
   /// On levels of `levels_of`. `known`, if given, is what the cycles of other virtual ranks found, and is added to.
   /// Collective.
   Cycle(Communicator const& comm, MultigridLevels multigrid, int max_grid_size, Relaxation const& relaxation,
-        std::shared_ptr<GapFits> gap_fits, Known* known = nullptr);
+        std::shared_ptr<GapFits> gap_fits, int most_direct, Known* known = nullptr);
 
   /// The levels of a hierarchy and those below the base. Local.
   static MultigridLevels levels_of(Hierarchy const& hierarchy, Real shift, int order = 2);
 
-  /// The corrections from the finest level down; reads every refinement level's right-hand side. Collective.
-  void run();
+  /// Gathered on every rank where it is not yet there.
+  void solve_coarsest() override;
 
   /// The work of a cycle, by levels, the coarsest first. The cycle is rehearsed: it exchanges values, but sweeps over
   /// none, and leaves corrections without meaning. Local for a virtual rank, else collective.
   std::vector<LevelWork> work();
 
-  /// What is done last to each plane of own cells of such a level.
-  void set_last_stage(std::size_t l, PlaneStage stage) { levels_[multigrid_.base + l].last = std::move(stage); }
-
-  SweptLevel& level(std::size_t l) { return *levels_[multigrid_.base + l].swept; }  ///< a refinement level, or the base
-
   /// Cells of the base per cell of the multigrid level below it, along each axis; ones if there is none.
-  Index3 ratio_below_base() const { return multigrid_.base > 0 ? multigrid_.ratio[multigrid_.base] : Index3{1, 1, 1}; }
-
-  std::size_t bytes() const;  ///< of this rank's memory, without fits in gaps
+  Index3 ratio_below_base() const { return levels().base > 0 ? levels().ratio[levels().base] : Index3{1, 1, 1}; }
 
  private:
-  friend class kokkos::Cycle;
-  struct CycleLevel {
-    std::unique_ptr<SweptLevel> swept;
-    std::unique_ptr<Coarsening> coarsening;  ///< to the level below; none for the coarsest
-    std::unique_ptr<LocalCycle> local;       ///< of a refinement level of long or flat cells
-    PlaneStage last;                         ///< after all sweeps; may be none
-  };
-  CycleSteps steps();
-  void pre_smooth_and_restrict(CycleLevel& level, Guess guess);
-  void prolong_and_post_smooth(CycleLevel& level);
-  std::vector<PlaneStage> relaxations(CycleLevel& level, std::vector<PlaneStage> stages, int sweeps, bool from_zero,
-                                      int further);
-  void solve_coarsest();
-  int sweeps_beside(CycleLevel const& level, int sweeps) const {
-    return level.local ? beside_local_cycle(sweeps) : sweeps;
-  }
-
   Communicator comm_;
-  MultigridLevels multigrid_;
-  Relaxation relaxation_;
-  std::vector<CycleLevel> levels_;
   std::unique_ptr<FastDiagonalisation> direct_;
   std::vector<Real> values_;
 };
@@ -103,7 +71,7 @@ class CyclePlans {
   std::vector<LevelWork> work(int rank) {
     auto const there = hierarchy_->seen_by(rank);
     return Cycle(there->comm(), seen_by(multigrid_, *there), there->max_grid_size(), relaxation_,
-                 std::make_shared<GapFits>(), &known_)
+                 std::make_shared<GapFits>(), most_direct_readers, &known_)
         .work();
   }
 

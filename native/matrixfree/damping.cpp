@@ -34,10 +34,11 @@ Damping::Damping(CompositeMesh const& mesh, Blocks<float> const& residual, matri
     auto& runs = runs_[std::size_t(l)];
     std::stable_sort(runs.begin(), runs.end(), [](Run const& x, Run const& y) { return x.plane < y.plane; });
     runs.shrink_to_fit();
-    cycle_.set_last_stage(std::size_t(l), {[this, l](std::size_t block, int plane, matrixfree::RowChoice const&) {
-                                             if (acts_) act(l, block, plane);
-                                           },
-                                           0, 0});
+    cycle_.level(std::size_t(l))
+        .set_last_stage({[this, l](std::size_t block, int plane, matrixfree::RowChoice const&) {
+                           if (acts_) act(l, block, plane);
+                         },
+                         0, 0});
   }
 }
 

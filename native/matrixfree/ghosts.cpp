@@ -29,24 +29,36 @@ float held_by(Ghost const& ghost) {
 
 Stencil::Stencil(Level const& level, Layout const& layout, LevelFaces const& faces, GhostRules const& rules,
                  Equation const& equation, Real relaxation, bool in_differences)
-    : relaxation_(relaxation),
-      shift_(float(equation.shift)),
-      keep_(float(1 - relaxation)),
-      in_differences_(in_differences) {
-  for (int d = 0; d < 3; ++d) weight_[d] = is_its_own_neighbour(level, rules, d) ? 0 : float(equation.weight[d]);
+    : relaxation_(relaxation), shift_(float(equation.shift)) {
+  auto& weight = table_.weight;
+  for (int d = 0; d < 3; ++d) weight[d] = is_its_own_neighbour(level, rules, d) ? 0 : float(equation.weight[d]);
+  table_.isotropic = weight[0] == weight[1] && weight[1] == weight[2];
+  table_.keep = float(1 - relaxation);
+  table_.in_differences = in_differences;
+  table_.zero_row = std::int32_t(layout.zero_row());
+  for (CellBlock const& block : layout.blocks())
+    table_.composed_pitch = std::max(table_.composed_pitch, std::int32_t(block.cells.pitch_y));
   for (std::size_t b = 0; b < faces.size(); ++b) {
     CellBlock const& block = layout.blocks()[b];
-    BlockStencil out;
-    out.rows.reserve(std::size_t(block.box.extent(1)) * std::size_t(block.box.extent(2)));
     std::array<std::array<std::vector<Ghost>, 2>, 3> all;
     for (int axis = 0; axis < 3; ++axis)
       for (int side = 0; side < 2; ++side)
         all[axis][side] = ghosts(level, layout, rules, block, faces[b].sides[std::size_t(2 * axis + side)], axis, side);
-    add_rows(out, layout, block, all);
-    add_coefficients(out, block, all);
-    blocks_.push_back(std::move(out));
+    first_row_.push_back(std::int32_t(rows_.size()));
+    first_composed_.push_back(std::int32_t(first_run_.size() - 1));
+    add_rows(layout, b, all);
+    add_coefficients(&rows_[std::size_t(first_row_[b])], block, all);
   }
+  first_row_.push_back(std::int32_t(rows_.size()));
+  first_composed_.push_back(std::int32_t(first_run_.size() - 1));
+  rows_.shrink_to_fit(), runs_.shrink_to_fit(), first_run_.shrink_to_fit();
   known_.clear();
+}
+
+RowTable Stencil::table() const {
+  RowTable out = table_;
+  out.rows = rows_.data(), out.runs = runs_.data(), out.first_run = first_run_.data(), out.coefficients = pool_.data();
+  return out;
 }
 
 /// The layer behind a face, cell by cell, the lower tangential axis fastest.
@@ -96,19 +108,25 @@ std::vector<Ghost> Stencil::ghosts(Level const& level, Layout const& layout, Gho
 }
 
 /// What lies on each side of each row.
-void Stencil::add_rows(BlockStencil& out, Layout const& layout, CellBlock const& block,
+void Stencil::add_rows(Layout const& layout, std::size_t b,
                        std::array<std::array<std::vector<Ghost>, 2>, 3> const& ghosts) {
+  CellBlock const& block = layout.blocks()[b];
   int const nx = block.box.extent(0), ny = block.box.extent(1), nz = block.box.extent(2);
-  out.first_run.push_back(0);
+  Index3 const& lower = block.box.lower;
   for (int k = 0; k < nz; ++k)
     for (int j = 0; j < ny; ++j) {
-      RowStencil row{};
+      Row row{};
+      row.place = std::int32_t(block.cells.place(0, j, k));
+      row.pitch = std::int32_t(block.cells.pitch_y);
+      row.cells = nx;
+      row.lanes = std::int8_t(block.lanes);
+      row.parity = std::int8_t((lower[0] + lower[1] + j + lower[2] + k) & 1);
+      row.steps = b < layout.own_blocks() ? std::int8_t(0) : layout.steps_to_own(b, lower[2] + k)[j];
       auto beside = [&](int axis, int side, bool inside, int t) {
         std::ptrdiff_t const pitch = axis == 1 ? block.cells.pitch_y : block.cells.pitch_z;
         row.beside[std::size_t(2 * (axis - 1) + side)] =
-            inside ? std::int32_t(block.cells.place(0, j, k) + (side == 0 ? -pitch : pitch))
-                   : compose(out, &ghosts[axis][side][std::size_t(t) * nx], nx, block.cells.place(0, j, k),
-                             layout.zero_row());
+            inside ? std::int32_t(row.place + (side == 0 ? -pitch : pitch))
+                   : compose(&ghosts[axis][side][std::size_t(t) * nx], nx, row.place, layout.zero_row());
       };
       beside(1, 0, j > 0, k);
       beside(1, 1, j + 1 < ny, k);
@@ -119,35 +137,36 @@ void Stencil::add_rows(BlockStencil& out, Layout const& layout, CellBlock const&
         row.end[side] = end.source;
         row.factor[side] = end.factor;
       }
-      out.rows.push_back(row);
+      rows_.push_back(row);
     }
 }
 
 /// The row that ghosts make: its place if it is one in memory, else ~(the composed row that is added).
-std::int32_t Stencil::compose(BlockStencil& out, Ghost const* ghosts, int n, std::ptrdiff_t own,
-                              std::ptrdiff_t zero_row) {
-  std::size_t const first = std::size_t(out.first_run.back());
+std::int32_t Stencil::compose(Ghost const* ghosts, int n, std::ptrdiff_t own, std::ptrdiff_t zero_row) {
+  std::size_t const first = runs_.size();
+  std::int32_t const number = std::int32_t(first_run_.size() - 1), place = number * table_.composed_pitch;
   for (int i = 0; i < n; ++i) {
     Ghost const& g = ghosts[i];
-    bool const follows = i > 0 && out.runs.back().factor == g.factor &&
-                         (g.factor == 0 || g.source == out.runs.back().source + out.runs.back().count);
+    bool const follows = i > 0 && runs_.back().factor == g.factor &&
+                         (g.factor == 0 || g.source == runs_.back().source + runs_.back().count);
     if (follows)
-      ++out.runs.back().count;
+      ++runs_.back().count;
     else
-      out.runs.push_back({i, 1, g.source, g.factor, std::int32_t(own + i)});
+      runs_.push_back({place + i, 1, g.source, g.factor, std::int32_t(own + i)});
   }
-  if (ScaledRun const run = out.runs[first]; run.count == n && (run.factor == 0 || run.factor == 1)) {
-    out.runs.pop_back();
+  if (ScaledRun const run = runs_[first]; run.count == n && (run.factor == 0 || run.factor == 1)) {
+    runs_.pop_back();
     return run.factor == 0 ? std::int32_t(zero_row) : run.source;
   }
-  out.first_run.push_back(std::int32_t(out.runs.size()));
-  return ~std::int32_t(out.first_run.size() - 2);
+  first_run_.push_back(std::int32_t(runs_.size()));
+  return ~number;
 }
 
-void Stencil::add_coefficients(BlockStencil& out, CellBlock const& block,
+void Stencil::add_coefficients(Row* rows, CellBlock const& block,
                                std::array<std::array<std::vector<Ghost>, 2>, 3> const& ghosts) {
   int const nx = block.box.extent(0), ny = block.box.extent(1), nz = block.box.extent(2);
-  float const plain = 2 * (weight_[0] + weight_[1] + weight_[2]) + shift_;
+  auto const& weight = table_.weight;
+  float const plain = 2 * (weight[0] + weight[1] + weight[2]) + shift_;
   std::vector<float> diagonal, held;
   std::map<std::array<float, 4>, std::int32_t> inner;  // of rows away from the faces of y and z, by their two ends
   for (int k = 0; k < nz; ++k)
@@ -158,21 +177,21 @@ void Stencil::add_coefficients(BlockStencil& out, CellBlock const& block,
       bool const inside = j > 0 && j < ny - 1 && k > 0 && k < nz - 1;
       if (inside)
         if (auto const known = inner.find(ends); known != inner.end()) {
-          out.rows[row].coefficients = known->second;
+          rows[row].coefficients = known->second;
           continue;
         }
       diagonal.assign(std::size_t(nx), plain);
-      diagonal.front() -= weight_[0] * lower.first;
-      diagonal.back() -= weight_[0] * upper.first;
-      held.assign(in_differences_ ? std::size_t(nx) : 0, shift_);
-      if (in_differences_) {
-        held.front() += weight_[0] * held_by(lower);
-        held.back() += weight_[0] * held_by(upper);
+      diagonal.front() -= weight[0] * lower.first;
+      diagonal.back() -= weight[0] * upper.first;
+      held.assign(table_.in_differences ? std::size_t(nx) : 0, shift_);
+      if (table_.in_differences) {
+        held.front() += weight[0] * held_by(lower);
+        held.back() += weight[0] * held_by(upper);
       }
       auto subtract = [&](int axis, int side, int t) {
         Ghost const* const g = &ghosts[axis][side][std::size_t(t) * nx];
-        for (int i = 0; i < nx; ++i) diagonal[std::size_t(i)] -= weight_[axis] * g[i].first;
-        for (std::size_t i = 0; i < held.size(); ++i) held[i] += weight_[axis] * held_by(g[i]);
+        for (int i = 0; i < nx; ++i) diagonal[std::size_t(i)] -= weight[axis] * g[i].first;
+        for (std::size_t i = 0; i < held.size(); ++i) held[i] += weight[axis] * held_by(g[i]);
       };
       if (j == 0) subtract(1, 0, k);
       if (j == ny - 1) subtract(1, 1, k);
@@ -180,7 +199,7 @@ void Stencil::add_coefficients(BlockStencil& out, CellBlock const& block,
       if (k == nz - 1) subtract(2, 1, j);
       std::int32_t const start = pooled(block, diagonal, held);
       if (inside) inner[ends] = start;
-      out.rows[row].coefficients = start;
+      rows[row].coefficients = start;
     }
 }
 
@@ -197,8 +216,9 @@ std::int32_t Stencil::pooled(CellBlock const& block, std::vector<float> const& d
   auto const [at, fresh] = known_.emplace(key, std::int32_t(pool_.size()));
   if (fresh) {
     std::size_t const start = pool_.size();
-    pool_.resize(start + ((in_differences_ ? held_place + 1 : held_place) * pitch + 15) / 16 * 16);
-    std::copy(held.begin(), held.end(), pool_.begin() + std::ptrdiff_t(start + held_place * pitch));
+    pool_.resize(start +
+                 ((table_.in_differences ? RowTable::held_place + 1 : RowTable::held_place) * pitch + 15) / 16 * 16);
+    std::copy(held.begin(), held.end(), pool_.begin() + std::ptrdiff_t(start + RowTable::held_place * pitch));
     for (std::size_t i = 0; i < diagonal.size(); ++i) {
       pool_[start + i] = diagonal[i];
       pool_[start + (1 + i % 2) * pitch + i] = diagonal[i] == 0 ? 0 : float(relaxation_) / diagonal[i];
@@ -208,11 +228,8 @@ std::int32_t Stencil::pooled(CellBlock const& block, std::vector<float> const& d
 }
 
 std::size_t Stencil::bytes() const {
-  std::size_t sum = pool_.size() * sizeof(float);
-  for (BlockStencil const& b : blocks_)
-    sum += b.rows.capacity() * sizeof(RowStencil) + b.runs.capacity() * sizeof(ScaledRun) +
-           b.first_run.capacity() * sizeof(std::int32_t);
-  return sum;
+  return pool_.size() * sizeof(float) + rows_.size() * sizeof(Row) + runs_.size() * sizeof(ScaledRun) +
+         first_run_.size() * sizeof(std::int32_t);
 }
 
 }  // namespace amrpic::matrixfree

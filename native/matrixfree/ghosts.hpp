@@ -6,6 +6,7 @@
 #include <unordered_map>
 
 #include "matrixfree/layout.hpp"
+#include "matrixfree/row_table.hpp"
 #include "mesh/faces.hpp"
 #include "stencil/equation.hpp"
 #include "stencil/odd_extents.hpp"
@@ -33,81 +34,50 @@ struct GhostRules {
   std::array<bool, 3> seams() const { return {seam_width[0] != 1, seam_width[1] != 1, seam_width[2] != 1}; }
 };
 
-/// A run of values of a row: factor * e[source + i] for `count` cells from `place` on; of differences, factor *
-/// (e[source + i] - e[own + i]).
-struct ScaledRun {
-  std::int32_t place, count;
-  std::int32_t source;
-  float factor;
-  std::int32_t own;  ///< the first of the cells that the row lies beside
-};
-
 inline Real smallest_spacing(Level const& level) {
   return std::min({level.spacing()[0], level.spacing()[1], level.spacing()[2]});
 }
 
-/// The neighbours of a row along x. The row on a side is a piece of memory, or composed of runs.
-struct RowStencil {
-  std::array<std::int32_t, 4> beside;  ///< y below, above, z below, above: the place in a Vector, or ~(composed row)
-  std::array<std::int32_t, 2> end;     ///< places of the values before the first and after the last cell
-  std::array<float, 2> factor;         ///< of these
-  std::int32_t coefficients;           ///< where the row's coefficients start
-};
-
-/// All about a block that its sweeps need besides e and r.
-struct BlockStencil {
-  std::vector<RowStencil> rows;         ///< [j + ny k]
-  std::vector<ScaledRun> runs;          ///< of composed rows
-  std::vector<std::int32_t> first_run;  ///< composed row c: [first_run[c], first_run[c + 1])
-};
-
-/// The operator h² L of a level as if nothing finer existed, h the smallest spacing, over the blocks of a layout:
-/// S e - d e, S the weighted sum over neighbours, d the diagonal with what ghosts add to it.
+/// The rows of a level's blocks, for sweeps over a layout: see RowTable.
 class Stencil {
  public:
   /// `faces`: of the blocks; `equation`: times h²; `relaxation`: factor of a Gauss-Seidel step.
   Stencil(Level const& level, Layout const& layout, LevelFaces const& faces, GhostRules const& rules,
           Equation const& equation, Real relaxation, bool in_differences);
 
-  BlockStencil const& block(std::size_t b) const { return blocks_[b]; }
   /// h² / h_d²; zero along axes of one cell that is its own neighbour: what cancels there does so before any rounding.
-  std::array<float, 3> const& weight() const { return weight_; }
-  bool isotropic() const { return weight_[0] == weight_[1] && weight_[1] == weight_[2]; }
-  float keep() const { return keep_; }  ///< 1 - relaxation
+  std::array<float, 3> const& weight() const { return table_.weight; }
+  /// The rows of a block, [j + ny k].
+  Row const* rows(std::size_t block) const { return &rows_[std::size_t(first_row_[block])]; }
+  RowTable table() const;  ///< in this memory
 
-  // Coefficients of a row are three vectors over its cells: the diagonal d, then relaxation / d of even and of odd
-  // places, zero in between. Many rows share them.
-  float const* diagonal(std::int32_t start) const { return &pool_[std::size_t(start)]; }
-  float const* step(std::int32_t start, std::ptrdiff_t pitch, int parity) const {
-    return &pool_[std::size_t(start)] + (1 + parity) * pitch;
-  }
+  // What it consists of: rows and composed rows block after block.
+  std::vector<Row> const& all_rows() const { return rows_; }
+  std::vector<std::int32_t> const& first_rows() const { return first_row_; }           ///< of blocks, and the end
+  std::vector<std::int32_t> const& first_composed() const { return first_composed_; }  ///< of blocks, and the end
+  std::vector<ScaledRun> const& runs() const { return runs_; }
+  std::vector<std::int32_t> const& first_runs() const { return first_run_; }
   Vector const& coefficients() const { return pool_; }
-
-  /// Whether residuals are taken of differences between neighbours, see `is_nearly_free`: the sum over neighbours less
-  /// d e is then that over the differences to them less `held` times e.
-  bool in_differences() const { return in_differences_; }
-  float const* held(std::int32_t start, std::ptrdiff_t pitch) const { return diagonal(start) + held_place * pitch; }
-  static constexpr int held_place = 3;  ///< among the vectors of a row's coefficients
   std::size_t bytes() const;
 
  private:
   static std::vector<Ghost> ghosts(Level const& level, Layout const& layout, GhostRules const& rules,
                                    CellBlock const& block, Face const& face, int axis, int side);
-  static void add_rows(BlockStencil& out, Layout const& layout, CellBlock const& block,
-                       std::array<std::array<std::vector<Ghost>, 2>, 3> const& ghosts);
-  static std::int32_t compose(BlockStencil& out, Ghost const* ghosts, int n, std::ptrdiff_t own,
-                              std::ptrdiff_t zero_row);
-  void add_coefficients(BlockStencil& out, CellBlock const& block,
+  void add_rows(Layout const& layout, std::size_t block,
+                std::array<std::array<std::vector<Ghost>, 2>, 3> const& ghosts);
+  std::int32_t compose(Ghost const* ghosts, int n, std::ptrdiff_t own, std::ptrdiff_t zero_row);
+  void add_coefficients(Row* rows, CellBlock const& block,
                         std::array<std::array<std::vector<Ghost>, 2>, 3> const& ghosts);
   std::int32_t pooled(CellBlock const& block, std::vector<float> const& diagonal, std::vector<float> const& held);
 
   Real relaxation_;
-  std::array<float, 3> weight_;
   float shift_;
-  float keep_;
-  bool in_differences_;
-  std::vector<BlockStencil> blocks_;
-  Vector pool_;
+  RowTable table_{};  ///< without lists
+  std::vector<Row> rows_;
+  std::vector<std::int32_t> first_row_, first_composed_;
+  std::vector<ScaledRun> runs_;
+  std::vector<std::int32_t> first_run_{0};
+  Vector pool_;  ///< coefficients, which many rows share
   std::unordered_map<std::string, std::int32_t> known_;
 };
 

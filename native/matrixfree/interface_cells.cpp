@@ -37,12 +37,12 @@ InterfaceCells::InterfaceCells(Level const& level, Level const& coarser, Level c
         Index3 first = beyond.layer.lower;
         first[axis] += side == 0 ? 1 : -1;
         face.cell = block.place(first);
-        face.cell_u = block.cells.stride(u);
-        face.cell_v = block.cells.stride(v);
-        face.inward = block.cells.stride(axis) * (side == 0 ? 1 : -1);
+        face.cell_u = std::int32_t(block.cells.stride(u));
+        face.cell_v = std::int32_t(block.cells.stride(v));
+        face.inward = std::int32_t(block.cells.stride(axis) * (side == 0 ? 1 : -1));
         face.parent = patch.place(parents.lower);
-        face.parent_u = patch.cells.stride(u);
-        face.parent_v = patch.cells.stride(v);
+        face.parent_u = std::int32_t(patch.cells.stride(u));
+        face.parent_v = std::int32_t(patch.cells.stride(v));
         face.weight = float(weight[axis] * interface_ghost::coarse);
         face.flux_weight = float(fine_face_weight) * coarse_weight[axis];
         face.axis = axis, face.side = side;
@@ -89,14 +89,6 @@ void InterfaceCells::for_each_gap(InterfaceSide const& face, F&& f) const {
       if (fits_[face.fits + std::size_t(u + v * face.nu)] == fit_in_gap) f(gap++, u, v);
 }
 
-void InterfaceCells::subtract_from_cells(InterfaceSide const& face, int u, int v, FourStars<float> const& stars,
-                                         Vector& r) const {
-  for (int b = 0; b < 2; ++b)
-    for (int a = 0; a < 2; ++a)
-      r[std::size_t(face.cell + (2 * u + a) * face.cell_u + (2 * v + b) * face.cell_v)] -=
-          face.weight * stars[std::size_t(b)][std::size_t(a)];
-}
-
 void InterfaceCells::subtract_in_gaps(Vector const& e, Vector& r) {
   for (InterfaceSide const& face : faces_) {
     if (face.gaps == 0) continue;
@@ -109,13 +101,10 @@ void InterfaceCells::subtract_in_gaps(Vector const& e, Vector& r) {
     for_each_gap(face, [&](std::size_t gap, int u, int v) {
       Index3 child = face.first_child;
       child[axis_u] += 2 * u, child[axis_v] += 2 * v;
-      FourStars<float> stars{}, change;
+      FourStars<float> stars{};
       for (auto const& term : gaps_[gap]->terms)
         if (term.fine) add_to_stars(stars, term.weight, window_(child, term));
-      for (std::size_t b = 0; b < 2; ++b)
-        for (std::size_t a = 0; a < 2; ++a) change[b][a] = stars[b][a] - taken_[gap][b][a];
-      subtract_from_cells(face, u, v, change, r);
-      taken_[gap] = stars;
+      face.change_ghosts(stars, taken_[gap], &r[first_cell(face, u, v)]);
     });
   }
 }
@@ -134,7 +123,7 @@ void InterfaceCells::subtract_coarse(Vector const& coarse_values, Vector& r) con
         if (!term.fine)
           add_to_stars(stars, term.weight,
                        middle[term.offset[0] * step[0] + term.offset[1] * step[1] + term.offset[2] * step[2]]);
-      subtract_from_cells(face, u, v, stars, r);
+      face.subtract_ghosts(stars, &r[first_cell(face, u, v)]);
     });
     std::ptrdiff_t pitch = face.parent_v;
     if (face.parent_u != 1) {  // rows of their own, for what follows
@@ -164,20 +153,17 @@ void InterfaceCells::subtract_coarse(Vector const& coarse_values, Vector& r) con
 
 void InterfaceCells::subtract_flux(Vector const& e, Vector& coarse_values) const {
   for (InterfaceSide const& face : faces_) {
-    auto through = [&](float const* cell) { return difference_at_interface(cell[0], cell[face.inward]); };
     for (int v = 0; v < face.nv; ++v)
-      for_each_run(
-          &fits_[face.fits + std::size_t(v) * std::size_t(face.nu)], face.nu, [&](int u, int count, FitNumber) {
-            float const* cell = &e[std::size_t(face.cell + 2 * v * face.cell_v + 2 * u * face.cell_u)];
-            float* parent = &coarse_values[std::size_t(face.parent + v * face.parent_v + u * face.parent_u)];
-            for (int i = 0; i < count; ++i, cell += 2 * face.cell_u, parent += face.parent_u)
-              *parent -= face.flux_weight * (through(cell) + through(cell + face.cell_u) + through(cell + face.cell_v) +
-                                             through(cell + face.cell_u + face.cell_v));
-          });
+      for_each_run(&fits_[face.fits + std::size_t(v) * std::size_t(face.nu)], face.nu,
+                   [&](int u, int count, FitNumber) {
+                     float const* cell = &e[first_cell(face, u, v)];
+                     float* parent = &coarse_values[std::size_t(face.parent + v * face.parent_v + u * face.parent_u)];
+                     for (int i = 0; i < count; ++i, cell += 2 * face.cell_u, parent += face.parent_u)
+                       *parent -= face.flux(cell);
+                   });
     for_each_gap(face, [&](std::size_t gap, int u, int v) {
-      auto const& [lower, upper] = taken_[gap];
       coarse_values[std::size_t(face.parent + u * face.parent_u + v * face.parent_v)] +=
-          face.flux_weight * float(interface_ghost::coarse) * (lower[0] + lower[1] + upper[0] + upper[1]);
+          face.flux_of_ghosts(taken_[gap]);
     });
   }
 }

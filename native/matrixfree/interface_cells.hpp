@@ -4,6 +4,7 @@
 
 #include "matrixfree/fits.hpp"
 #include "matrixfree/gap_window.hpp"
+#include "matrixfree/interface_acts.hpp"
 #include "matrixfree/layout.hpp"
 #include "mesh/faces.hpp"
 
@@ -49,12 +50,10 @@ class InterfaceCells {
  private:
   friend class kokkos::InterfaceCells;
   /// A side of a block on which ghosts lie in coarser cells: nu x nv of these, the lower tangential axis first.
-  struct InterfaceSide {
+  struct InterfaceSide : InterfaceSteps {
     int nu, nv;
-    std::size_t fits;                             ///< first of its numbers, u fastest; no_fit where no ghosts lie
-    std::ptrdiff_t cell, cell_u, cell_v, inward;  ///< the first fine cell before the face, steps from one to the next
-    std::ptrdiff_t parent, parent_u, parent_v;    ///< the first coarse cell behind it, in the patch
-    float weight, flux_weight;
+    std::size_t fits;               ///< first of its numbers, u fastest; no_fit where no ghosts lie
+    std::ptrdiff_t cell, parent;    ///< the first fine cell before the face, and coarse cell behind it, in the patch
     std::ptrdiff_t parent_normal;   ///< step between coarse cells along the normal
     std::size_t first_gap, gaps;    ///< fits in gaps, u fastest
     std::size_t first_part, parts;  ///< of the window around them
@@ -69,7 +68,10 @@ class InterfaceCells {
   };
   void add_gaps(InterfaceSide& face, ArrayOnBox<FitNumber> const& fits, std::vector<Overlap> const& near,
                 std::vector<Overlap> const& refined, Level const& level, Level const* finer, Layout const& layout);
-  void subtract_from_cells(InterfaceSide const& face, int u, int v, FourStars<float> const& stars, Vector& r) const;
+  /// The first of the fine cells before a coarse face.
+  static std::size_t first_cell(InterfaceSide const& face, int u, int v) {
+    return std::size_t(face.cell + 2 * (u * face.cell_u + v * face.cell_v));
+  }
   template <class F>
   void for_each_gap(InterfaceSide const& face, F&& f) const;
   std::vector<InterfaceSide> faces_;

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cassert>
 #include <cstdint>
 #include <vector>
 
@@ -29,6 +30,7 @@ struct CellBlock {
   int lanes = 16;   ///< cells per vector
 
   std::ptrdiff_t place(Index3 const& c) const {
+    assert(box.contains(c));
     return cells.place(c[0] - box.lower[0], c[1] - box.lower[1], c[2] - box.lower[2]);
   }
   int vectors() const { return int(cells.pitch_y) / lanes; }

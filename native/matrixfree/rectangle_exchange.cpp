@@ -83,7 +83,7 @@ void add_row(float const* from, int length, float* to) {
 
 RectangleExchange::RectangleExchange(Communicator const& comm, Layout const& layout, std::vector<Copied> const& local,
                                      CopiesAcrossRanks const& across, ForEachPart const& copies, Colours colours,
-                                     RoutesOf const& routes_of)
+                                     Routes const& routes)
     : colours_(colours) {
   auto own = [&](Box const& box, Part const& f) { layout.for_each_own_part(box, f); };
   for (Region const& region : regions_of(local))
@@ -94,8 +94,8 @@ RectangleExchange::RectangleExchange(Communicator const& comm, Layout const& lay
   local_.shrink_to_fit();
   asked_ = packed(across.asked, false, own);
   wanted_ = packed(across.wanted, true, copies);
-  if (routes_of && comm.ranks() - 1 > most_direct_readers())
-    plan_with_relays(comm, across, routes_of);
+  if (routes.of && comm.ranks() - 1 > routes.most_direct)
+    plan_with_relays(comm, across, routes);
   else
     exchange_ = Exchange<float>(comm, parcels(across.asked), parcels(across.wanted));
 }
@@ -111,9 +111,9 @@ std::vector<Parcel> RectangleExchange::parcels(std::vector<CopiedRectangle> cons
 }
 
 void RectangleExchange::plan_with_relays(Communicator const& comm, CopiesAcrossRanks const& across,
-                                         RoutesOf const& routes_of) {
+                                         Routes const& routes) {
   relays_ = std::make_unique<Relays>();
-  RelayPlan const& plan = relays_->plan = plan_relays(comm.rank(), across, routes_of);
+  RelayPlan const& plan = relays_->plan = plan_relays(comm.rank(), across, routes);
   relays_->first.push_back(0);
   for (Box const& cells : plan.passed_on) relays_->first.push_back(relays_->first.back() + std::size_t(places(cells)));
   relays_->values.resize(relays_->first.back());

@@ -33,11 +33,11 @@ class RectangleExchange {
 
   /// `layout` holds the cells. `local`: what is copied from own boxes. `across`: what passes between ranks;
   /// a cell of it, in the indices of the copy, may have several copies or none. Of one colour, only `update` is for it,
-  /// and copies of own cells take both. With `routes_of`, see `plan_relays`, what a rank would send to many ranks
+  /// and copies of own cells take both. With `routes`, see `plan_relays`, what a rank would send to many ranks
   /// passes through some of them; then, too, only `update` is for it.
   RectangleExchange(Communicator const& comm, Layout const& layout, std::vector<Copied> const& local,
                     CopiesAcrossRanks const& across, ForEachPart const& copies, Colours colours = Colours::all,
-                    RoutesOf const& routes_of = {});
+                    Routes const& routes = {});
 
   /// Fill the copies, which may lie in the vector of the cells. Collective.
   void update(float const* cells, float* copies) const {
@@ -83,7 +83,7 @@ class RectangleExchange {
   std::vector<Packed> packed(std::vector<CopiedRectangle> const& rectangles, bool shifted,
                              ForEachPart const& for_each_part) const;
   std::int64_t places(Box const& cells) const;
-  void plan_with_relays(Communicator const& comm, CopiesAcrossRanks const& across, RoutesOf const& routes_of);
+  void plan_with_relays(Communicator const& comm, CopiesAcrossRanks const& across, Routes const& routes);
   std::vector<Parcel> parcels(std::vector<CopiedRectangle> const& rectangles);
   void unpack(std::size_t n, float const* in, float* copies) const;
 

@@ -7,10 +7,10 @@ namespace amrpic::matrixfree {
 
 namespace {
 
-std::map<int, int> relays_to(std::vector<CopiedRectangle> const& asked) {
+std::map<int, int> relays_to(std::vector<CopiedRectangle> const& asked, int most_direct) {
   std::map<int, std::int64_t> values;
   for (CopiedRectangle const& r : asked) values[r.rank] += r.cells.cells();
-  return relays_of(values);
+  return relays_of(values, most_direct);
 }
 
 void sort_by_rank(std::vector<RelayPlan::Step>& steps) {
@@ -19,15 +19,10 @@ void sort_by_rank(std::vector<RelayPlan::Step>& steps) {
 
 }  // namespace
 
-int& most_direct_readers() {
-  static int most = 32;  // neighbours on a level are 26
-  return most;
-}
-
-std::map<int, int> relays_of(std::map<int, std::int64_t> const& values) {
+std::map<int, int> relays_of(std::map<int, std::int64_t> const& values, int most_direct) {
   std::map<int, int> out;
   for (auto const& [rank, number] : values) out[rank] = rank;
-  if (int(values.size()) <= most_direct_readers()) return out;
+  if (int(values.size()) <= most_direct) return out;
   std::vector<std::pair<std::int64_t, int>> by_values;
   for (auto const& [rank, number] : values) by_values.emplace_back(-number, rank);
   std::sort(by_values.begin(), by_values.end());
@@ -40,16 +35,17 @@ std::map<int, int> relays_of(std::map<int, std::int64_t> const& values) {
   return out;
 }
 
-RoutedReads::RoutedReads(std::vector<CopiedRectangle> of_all) : asked(std::move(of_all)), relays(relays_to(asked)) {
+RoutedReads::RoutedReads(std::vector<CopiedRectangle> of_all, int most_direct)
+    : asked(std::move(of_all)), relays(relays_to(asked, most_direct)) {
   for (std::size_t n = 0; n < asked.size(); ++n) {
     of_reader[asked[n].rank].push_back(int(n));
     sent_first[relays.at(asked[n].rank)].push_back(int(n));
   }
 }
 
-RelayPlan plan_relays(int me, CopiesAcrossRanks const& across, RoutesOf const& routes_of) {
+RelayPlan plan_relays(int me, CopiesAcrossRanks const& across, Routes const& routes) {
   RelayPlan out;
-  auto const from_me = relays_to(across.asked);
+  auto const from_me = relays_to(across.asked, routes.most_direct);
   for (std::size_t n = 0; n < across.asked.size(); ++n)
     out.sent_first.push_back({from_me.at(across.asked[n].rank), int(n), -1});
   sort_by_rank(out.sent_first);
@@ -57,7 +53,7 @@ RelayPlan plan_relays(int me, CopiesAcrossRanks const& across, RoutesOf const& r
     int const owner = across.wanted[first].rank;
     int number = int(first);
     while (first < across.wanted.size() && across.wanted[first].rank == owner) ++first;
-    auto const of_owner = routes_of(owner);
+    auto const of_owner = routes.of(owner);
     if (int const relay = of_owner->relays.at(me); relay != me) {
       for (std::size_t n = 0; n < of_owner->of_reader.at(me).size(); ++n)
         out.received_second.push_back({relay, number++, -1});

@@ -11,14 +11,14 @@
 
 namespace amrpic::matrixfree {
 
-/// So many ranks get what they read of a rank from itself; of more, some pass it on. A mutable number, so that tests
-/// need no hundreds of ranks; the same on all ranks whenever exchanges are planned.
-int& most_direct_readers();
+/// So many ranks get what they read of a rank from itself, unless an option gives another number, the same on all
+/// ranks; of more, some pass it on.
+constexpr int most_direct_readers = 32;  // neighbours on a level are 26
 
 /// The rank that sends each reader what it reads of an owner: the reader itself where it comes from the owner.
 /// `values`: how many each reads. Of n readers, the √n that read most pass on what the others read, which they share
 /// evenly.
-std::map<int, int> relays_of(std::map<int, std::int64_t> const& values);
+std::map<int, int> relays_of(std::map<int, std::int64_t> const& values, int most_direct);
 
 /// Rectangles on their way between owners and readers, in two rounds: from owners to readers and relays, and from
 /// relays to other readers. Those of two ranks are in the same order on both.
@@ -35,7 +35,7 @@ struct RelayPlan {
 
 /// What all others read of a rank, as that one has it, and by which rank each rectangle passes.
 struct RoutedReads {
-  explicit RoutedReads(std::vector<CopiedRectangle> of_all);
+  RoutedReads(std::vector<CopiedRectangle> of_all, int most_direct);
 
   std::vector<CopiedRectangle> asked;
   std::map<int, int> relays;                   ///< of each reader, see `relays_of`
@@ -43,12 +43,16 @@ struct RoutedReads {
   std::map<int, std::vector<int>> sent_first;  ///< of what readers and relays get from the rank itself
 };
 
-using RoutesOf = std::function<std::shared_ptr<RoutedReads const>(int owner)>;
+/// How what many ranks may read passes.
+struct Routes {
+  int most_direct;                                                  ///< see `most_direct_readers`
+  std::function<std::shared_ptr<RoutedReads const>(int owner)> of;  ///< null: all passes directly
+};
 
 /// Those found so far, by rank: for the plans of many ranks in turn, which read of the same ones.
 using KnownReads = std::map<int, std::shared_ptr<RoutedReads const>>;
 
 /// The plan of rank `me`. Local.
-RelayPlan plan_relays(int me, CopiesAcrossRanks const& across, RoutesOf const& routes_of);
+RelayPlan plan_relays(int me, CopiesAcrossRanks const& across, Routes const& routes);
 
 }  // namespace amrpic::matrixfree

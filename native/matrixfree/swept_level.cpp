@@ -1,7 +1,9 @@
 #include "matrixfree/swept_level.hpp"
 
 #include <algorithm>
-#include <stdexcept>
+#include <utility>
+
+#include "base/error.hpp"
 
 namespace amrpic::matrixfree {
 
@@ -55,9 +57,8 @@ SweptLevel::SweptLevel(Communicator const& comm, std::shared_ptr<Level const> le
   edge_halo_ = RectangleExchange(comm, layout_, images_at_edges, at_edges(*level_, layout_.across_ranks()), copies);
 }
 
-std::vector<PlaneStage> SweptLevel::relaxations(int sweeps, bool from_zero, int further) {
+void SweptLevel::relax(int sweeps, bool from_zero, int further) {
   if (rehearsal_) rehearsal_->sweeps += sweeps, rehearsal_->relaxed += relaxed_cells(sweeps, further);
-  std::vector<PlaneStage> out;
   if (from_zero && sweeps == 0) {
     std::fill(e_.begin(), e_.end(), 0.0f);
     stale_ = 0;
@@ -67,14 +68,10 @@ std::vector<PlaneStage> SweptLevel::relaxations(int sweeps, bool from_zero, int 
     HalfSweep const h(half, from_zero);
     auto const relax = [this, h, reach](std::size_t b, int k, RowChoice const& some) {
       RowChoice const rows = is_thin_ ? some : layout_.rows_in_reach(b, k, reach);
-      if (h.is_fresh)
-        sweep_.relax_from_zero(b, k, h.colour, rows, r_, e_);
-      else
-        sweep_.relax(b, k, h.colour, rows, r_, e_);
+      sweep_.relax(b, k, h.colour, h.is_fresh, rows, r_, e_);
     };
-    out.push_back({relax, h.reads, h.changes});
+    then({relax, h.reads, h.changes});
   }
-  return out;
 }
 
 Real SweptLevel::relaxed_cells(int sweeps, int further) const {
@@ -96,10 +93,10 @@ SweptLevel::PlaceAndDiagonal SweptLevel::place_and_diagonal(Index3 const& cell) 
     CellBlock const& block = layout_.blocks()[std::size_t(b)];
     if (std::size_t(b) >= layout_.own_blocks() || !block.box.contains(cell)) continue;
     int const i = cell[0] - block.box.lower[0], j = cell[1] - block.box.lower[1], k = cell[2] - block.box.lower[2];
-    RowStencil const& row = stencil_.block(std::size_t(b)).rows[std::size_t(j + block.box.extent(1) * k)];
-    return {std::size_t(block.place(cell)), stencil_.diagonal(row.coefficients)[i]};
+    Row const& row = stencil_.rows(std::size_t(b))[j + block.box.extent(1) * k];
+    return {std::size_t(block.place(cell)), stencil_.table().diagonal(row)[i]};
   }
-  throw std::logic_error("the cell is not one of this rank's");
+  fail_alone("the cell is not one of this rank's");
 }
 
 /// Run a stage over the rows of own blocks that rows(block, plane) chooses.
@@ -133,9 +130,11 @@ void SweptLevel::run_one_by_one(std::vector<PlaneStage> const& stages) {
   for (auto const& halo : halo_of_colour_) halo.settle();
 }
 
-void SweptLevel::run(std::vector<PlaneStage> const& stages) {
+void SweptLevel::run() {
+  std::vector<PlaneStage> stages = std::exchange(stages_, {});
   if (is_thin_) return run_one_by_one(stages);
-  wavefront(layout_, rehearsal_ ? std::vector<PlaneStage>{} : stages, [this](int plane) {
+  if (rehearsal_) stages.clear();
+  wavefront(layout_, stages, [this](int plane) {
     halo_.poll();
     if (plane + 1 >= layout_.first_halo_plane()) finish_exchanges();
   });

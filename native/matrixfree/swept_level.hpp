@@ -49,11 +49,21 @@ class SweptLevel {
   SweptLevel(SweptLevel const&) = delete;  // the sweeps refer to the layout
   SweptLevel& operator=(SweptLevel const&) = delete;
 
-  /// Sweeps over both colours as stages of a wavefront. `further`: how many cells outside own ones their result is
-  /// read.
-  std::vector<PlaneStage> relaxations(int sweeps, bool from_zero, int further);
-  /// Run stages over all planes; where copies are still under way, wait for them when they are reached.
-  void run(std::vector<PlaneStage> const& stages);
+  // Acts are put off, until values are read, and then run in one pass over all planes.
+  /// Sweeps over both colours. `further`: how many cells outside own ones their result is read.
+  void relax(int sweeps, bool from_zero, int further);
+  /// What comes next is done to each plane.
+  void then(PlaneStage stage) { stages_.push_back(std::move(stage)); }
+  /// Run all that was put off; where copies are still under way, wait for them when they are reached. Collective.
+  void run();
+  /// The same after the last stage of a cycle, if there is one.
+  void finish() {
+    if (last_.act) then(last_);
+    run();
+  }
+  /// What is done last to each plane of own cells in a cycle.
+  void set_last_stage(PlaneStage stage) { last_ = std::move(stage); }
+
   /// Say that corrections of all own cells have been set.
   void corrections_are_new() { stale_ = both_colours; }
 
@@ -121,6 +131,8 @@ class SweptLevel {
   std::array<RectangleExchange, 2> halo_of_colour_;  ///< of thin copies, in place of both
   int stale_ = both_colours;                         ///< colours of thin copies that are not up to date
   std::vector<std::pair<RectangleExchange const*, Vector*>> under_way_;
+  std::vector<PlaneStage> stages_;  ///< put off
+  PlaneStage last_;                 ///< may be none
   SweepWork* rehearsal_ = nullptr;
 };
 

@@ -1,8 +1,9 @@
 #include "mesh/boundary_cells.hpp"
 
 #include <algorithm>
-#include <stdexcept>
 #include <string>
+
+#include "base/error.hpp"
 
 namespace amrpic {
 
@@ -41,7 +42,7 @@ LocalIndex BoundaryCells::number(LocalIndex place, std::size_t& box) const {
   int const cell = place - first_cell_[box], nx = extent_[box][0], ny = extent_[box][1];
   LocalIndex const out =
       whole_[box] ? first_[box] + cell : number(int(box), {cell % nx, cell / nx % ny, cell / nx / ny});
-  if (out < 0) throw std::logic_error("cell " + std::to_string(place) + " of a level is no boundary cell of its box");
+  if (out < 0) fail_alone("cell " + std::to_string(place) + " of a level is no boundary cell of its box");
   return out;
 }
 

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <algorithm>
+#include <cassert>
 #include <cstddef>
 #include <string>
 
@@ -26,6 +27,7 @@ struct Box {
 
   /// Place of a cell in this box's memory, x fastest.
   GlobalIndex offset(Index3 const& cell) const {
+    assert(contains(cell));
     return (cell[0] - lower[0]) +
            GlobalIndex(extent(0)) * ((cell[1] - lower[1]) + GlobalIndex(extent(1)) * (cell[2] - lower[2]));
   }

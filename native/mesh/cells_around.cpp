@@ -2,6 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
+#include <string>
+
+#include "base/error.hpp"
 
 namespace amrpic {
 
@@ -25,14 +29,21 @@ class Finder {
 
 }  // namespace
 
+std::vector<GlobalIndex> first_numbers(Hierarchy const& hierarchy) {
+  std::vector<GlobalIndex> out{0};
+  for (int l = 0; l < hierarchy.level_count(); ++l) out.push_back(out.back() + hierarchy.level(l).cells());
+  if (out.back() > std::numeric_limits<LocalIndex>::max())
+    throw HierarchyError("the hierarchy has " + std::to_string(out.back()) + " cells; stencils can number " +
+                         std::to_string(std::numeric_limits<LocalIndex>::max()) +
+                         " at most; take fewer levels or wider cells");
+  return out;
+}
+
 CellsAround cells_around(Hierarchy const& hierarchy, std::vector<Real3> const& points,
                          std::vector<Real> const& radius) {
   std::vector<Finder> find;
-  std::vector<GlobalIndex> first{0};  // number of the first cell of each level
-  for (int l = 0; l < hierarchy.level_count(); ++l) {
-    find.emplace_back(hierarchy.level(l));
-    first.push_back(first.back() + hierarchy.level(l).cells());
-  }
+  auto const first = first_numbers(hierarchy);
+  for (int l = 0; l < hierarchy.level_count(); ++l) find.emplace_back(hierarchy.level(l));
   CellsAround out;
   for (std::size_t p = 0; p < points.size(); ++p) {
     Real const within = radius[p] * radius[p] * equal;

@@ -17,4 +17,8 @@ struct CellsAround {
 /// the faces of the domain, periodic ones too. Local: boxes are known on all ranks.
 CellsAround cells_around(Hierarchy const& hierarchy, std::vector<Real3> const& points, std::vector<Real> const& radius);
 
+/// The number of the first cell of each level, and of all cells, where these are numbered level after level. Throws
+/// HierarchyError, the same on all ranks, if 32 bits do not count them.
+std::vector<GlobalIndex> first_numbers(Hierarchy const& hierarchy);
+
 }  // namespace amrpic

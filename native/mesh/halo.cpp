@@ -2,7 +2,8 @@
 
 #include <algorithm>
 #include <numeric>
-#include <stdexcept>
+
+#include "base/error.hpp"
 
 namespace amrpic {
 
@@ -93,7 +94,7 @@ std::vector<GlobalIndex> Halo::numbers() const {
 LocalIndex Halo::place_in_halo(GlobalIndex cell) const {
   std::size_t const r = first_run_from(cell);
   if (r == cells_.size() || cells_[r].first > cell)
-    throw std::logic_error("cell " + std::to_string(cell) + " is neither owned nor in the halo");
+    fail_alone("cell " + std::to_string(cell) + " is neither owned nor in the halo");
   return owned_ + places_[r] + LocalIndex(cell - cells_[r].first);
 }
 

@@ -2,49 +2,12 @@
 
 #include <algorithm>
 
-#include "mesh/array_on_box.hpp"
-#include "mesh/halo.hpp"
+#include "mesh/box_regions.hpp"
 #include "stencil/intergrid.hpp"
 
 namespace amrpic {
 
 namespace {
-
-/// Values of a level wherever boxes of another one read them, whichever ranks own the cells.
-class Reader {
- public:
-  /// `reads`: of cells of `level`. Collective.
-  Reader(Communicator const& comm, Level const& level, CellReads const& reads, LargeArray<Real> const& own)
-      : level_(level), halo_(comm, reads), own_(own), values_(std::size_t(halo_.size())) {
-    halo_.update({own_.data()}, {values_.data()});
-  }
-
-  /// Call `f(values, count, first cell)` for each row along x of the level's cells in a region that is read; periodic
-  /// images included.
-  template <class F>
-  void for_each_row(Box const& region, F&& f) const {
-    level_.for_each_overlap(region, [&](int b, Box const& part, Index3 const& shift) {
-      amrpic::for_each_row(level_, b, part, shift, [&](GlobalIndex first, LocalIndex count, Index3 const& cell) {
-        // the halo is in the order of its numbers, so the cells of a row are side by side as own cells are
-        LocalIndex const place = halo_.local(first), owned = halo_.owned();
-        f(place < owned ? &own_[std::size_t(place)] : &values_[std::size_t(place - owned)], count, cell);
-      });
-    });
-  }
-
- private:
-  Level const& level_;
-  Halo halo_;
-  LargeArray<Real> const& own_;
-  std::vector<Real> values_;
-};
-
-/// Whether a level lacks cells of a box.
-bool lacks_some(Level const& level, Box const& box) {
-  GlobalIndex cells = 0;
-  level.for_each_overlap(box, [&](int, Box const& part, Index3 const&) { cells += part.cells(); });
-  return cells < box.cells();
-}
 
 using Weights = std::array<std::array<Real, 3>, 2>;  ///< of the lower and the upper half of a parent along an axis
 
@@ -97,16 +60,16 @@ void interpolate(Level const& coarser, ArrayOnBox<Real> const& parent_values, Bo
 std::vector<char> copy_former(Communicator const& comm, Level const& level, Level const& former,
                               LargeArray<Real> const& from, LargeArray<Real>& to) {
   std::vector<char> is_new(to.size(), 1);
-  CellReads reads(former);
-  reads.add(
-      level, [](Box const& o) { return o; }, [&](int b, auto&& read) { read(level.box(b)); });
-  Reader const read(comm, former, reads, from);
-  for (int b = level.first_local_box(); b < level.last_local_box(); ++b)
-    read.for_each_row(level.box(b), [&](Real const* values, LocalIndex count, Index3 const& first) {
-      auto const place = level.local_offset(b) + level.box(b).offset(first);
-      std::copy_n(values, count, to.begin() + place);
-      std::fill_n(is_new.begin() + place, count, 0);
+  BoxRegions const regions(
+      comm, former, level, [](Box const& o) { return o; }, [&](int b) { return level.box(b); });
+  std::vector<Real> const halo = regions.halo(1, from.data());
+  for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
+    std::size_t const part = std::size_t(b - level.first_local_box());
+    regions.read(part, 1, from.data(), halo.data(), to.data() + level.local_offset(b));
+    regions.for_each_run(part, [&](LocalIndex, LocalIndex first, LocalIndex count) {
+      std::fill_n(is_new.begin() + level.local_offset(b) + first, count, 0);
     });
+  }
   return is_new;
 }
 
@@ -114,23 +77,19 @@ std::vector<char> copy_former(Communicator const& comm, Level const& level, Leve
 /// Collective.
 void fill_new(Communicator const& comm, Level const& level, Level const* former, Level const& coarser,
               LargeArray<Real> const& from, std::vector<char> const& is_new, LargeArray<Real>& to) {
-  auto has_new = [&](int b) { return !former || lacks_some(*former, level.box(b)); };
-  auto parents_of = [&](int b) { return level.box(b).coarsen(refinement_ratio).grow(1); };
-  CellReads reads(coarser);
-  reads.add(
-      level, [](Box const& o) { return o.grow(1).refine(refinement_ratio); },
-      [&](int b, auto&& read) {
-        if (has_new(b)) read(parents_of(b));
-      });
-  Reader const read(comm, coarser, reads, from);
+  auto const parents_of = [&](int b) {
+    bool const has_new = !former || former->cells_in(level.box(b)) < level.box(b).cells();
+    return has_new ? level.box(b).coarsen(refinement_ratio).grow(1) : Box{};
+  };
+  BoxRegions const parents(
+      comm, coarser, level, [](Box const& o) { return o.grow(1).refine(refinement_ratio); }, parents_of);
+  std::vector<Real> const halo = parents.halo(1, from.data());
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
-    if (!has_new(b)) continue;
-    ArrayOnBox<Real> parent_values(parents_of(b), 0);
-    read.for_each_row(parents_of(b), [&](Real const* values, LocalIndex count, Index3 const& first) {
-      std::copy_n(values, count, &parent_values(first));
-    });
+    std::size_t const part = std::size_t(b - level.first_local_box());
+    if (parents.region(part).empty()) continue;
     LocalIndex const offset = level.local_offset(b);
-    interpolate(coarser, parent_values, level.box(b), is_new.data() + offset, to.data() + offset);
+    interpolate(coarser, parents.values(part, from.data(), halo), level.box(b), is_new.data() + offset,
+                to.data() + offset);
   }
 }
 

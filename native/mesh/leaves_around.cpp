@@ -3,12 +3,12 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
-#include <limits>
 #include <map>
 #include <numeric>
 
 #include "base/error.hpp"
 #include "mesh/array_on_box.hpp"
+#include "mesh/cells_around.hpp"
 
 namespace amrpic {
 
@@ -31,12 +31,8 @@ using Kinds = std::map<std::vector<std::uint64_t>, LocalIndex>;
 
 class Search {
  public:
-  Search(Hierarchy const& hierarchy, Real reach) : hierarchy_(hierarchy), reach_(reach) {
-    for (int l = 0; l < hierarchy.level_count(); ++l) first_.push_back(first_.back() + hierarchy.level(l).cells());
-    if (first_.back() > std::numeric_limits<LocalIndex>::max())
-      throw HierarchyError("the hierarchy has " + std::to_string(first_.back()) +
-                           " cells; stencils can number 2147483647 at most");
-  }
+  Search(Hierarchy const& hierarchy, Real reach)
+      : hierarchy_(hierarchy), reach_(reach), first_(first_numbers(hierarchy)) {}
 
   LeavesAround take() {
     for (int l = 0; l < hierarchy_.level_count(); ++l) {
@@ -221,7 +217,7 @@ class Search {
 
   Hierarchy const& hierarchy_;
   Real reach_;
-  std::vector<GlobalIndex> first_{0};  ///< number of the first cell of each level
+  std::vector<GlobalIndex> first_;  ///< number of the first cell of each level
   // of the level whose leaves are taken
   int of_ = 0;
   Level const* level_ = nullptr;

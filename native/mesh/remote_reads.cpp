@@ -1,7 +1,6 @@
 #include "mesh/remote_reads.hpp"
 
 #include <limits>
-#include <stdexcept>
 #include <string>
 
 namespace amrpic {
@@ -25,8 +24,8 @@ void RemoteReads::plan(Communicator const& comm) {
     places_[{purpose, read.reader, read.region, read.owner, read.shift}] = {first_.back(), read.part};
     std::int64_t const last = first_.back() + read.part.cells();
     if (last > std::numeric_limits<std::int32_t>::max())
-      throw std::length_error("rank " + std::to_string(comm.rank()) + " reads " + std::to_string(last) +
-                              " values of other ranks at once, more than 32 bits count; use more ranks");
+      comm.abort("a rank reads " + std::to_string(last) +
+                 " values of other ranks at once, more than 32 bits count; use more ranks");
     first_.push_back(std::int32_t(last));
   }
   std::vector<Piece>().swap(wanted_);

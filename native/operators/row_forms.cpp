@@ -1,7 +1,8 @@
 #include "operators/row_forms.hpp"
 
 #include <cstring>
-#include <stdexcept>
+
+#include "base/error.hpp"
 
 namespace amrpic {
 
@@ -135,7 +136,7 @@ SparseMatrix filled(FormTable const& table, RowForms const& row_forms, NearPlace
         Kokkos::single(Kokkos::PerTeam(team), [&] { sum += of_line; });
       },
       missing);
-  if (missing > 0) throw std::logic_error("a stencil reached for a cell that does not exist");
+  if (missing > 0) fail_alone("a stencil reached for a cell that does not exist");
   T::LocalMatrix const local("operator", LocalIndex(form_of_row.extent(0)), columns.columns(), entries, value,
                              row_start, column);
   return SparseMatrix(local, rows, columns);

@@ -12,15 +12,16 @@ namespace amrpic {
 
 namespace {
 
-/// Which cells a copy of a refinement level has, with `size` of the level's per cell along each axis. Corrections
-/// vanish at walls and one of the level's own cells outside its faces, at the centres of the coarser level's cells.
+/// Which cells a refinement level has when it is semicoarsened, with `size` of the level's per cell along each axis.
+/// Corrections vanish at walls and one of the level's own cells outside its faces, at the centres of the coarser
+/// level's cells.
 ///
-/// No gap of the level may be lost in larger cells: it holds corrections, and where nothing else does, a copy without
+/// No gap of the level may be lost in larger cells: it holds corrections, and where nothing else does, a level without
 /// it overshoots by factors of ten and more. So a cell that would bridge a gap is left out. The gap is then too wide
 /// and corrections too small, which does no harm.
-class CopyCells {
+class SemicoarseCells {
  public:
-  CopyCells(std::shared_ptr<Level const> level, Faces const& boundary, Index3 const& size, Box const& domain)
+  SemicoarseCells(std::shared_ptr<Level const> level, Faces const& boundary, Index3 const& size, Box const& domain)
       : level_(std::move(level)), boundary_(boundary), size_(size), domain_(domain) {
     for (int d = 0; d < 3; ++d) {
       whole_[d] = size[d] > 1 && domain.extent(d) == 1 && is_closed(boundary[d]);
@@ -59,7 +60,7 @@ class CopyCells {
     return joined(out);
   }
 
-  /// How far behind the centre of a cell, in its spacings, corrections vanish on a side where the copy ends.
+  /// How far behind the centre of a cell, in its spacings, corrections vanish on a side where the level ends.
   Real distance(Index3 const& cell, int axis, int side) const {
     Box place = core(cell);
     int const step = side == 0 ? -1 : 1, size = size_[axis];
@@ -103,7 +104,7 @@ class CopyCells {
   /// The level's indices within a cell, inside the domain.
   Box cells_in(Index3 const& cell) const { return Box{cell, cell}.refine(size_).intersect(level_->domain()); }
 
-  /// Whether a gap of the level lies in a cell, and neither this ends the copy on that side nor a wall holds it there.
+  /// Whether a gap of the level lies in a cell, and neither this ends the level on that side nor a wall holds it there.
   bool bridges_gap(Index3 const& cell) const {
     Box const whole = cells_in(cell);
     std::vector<Box> gaps{whole};
@@ -118,7 +119,7 @@ class CopyCells {
     });
   }
 
-  /// Whether the copy ends beside a cell, or a wall holds corrections there.
+  /// Whether the level ends beside a cell, or a wall holds corrections there.
   bool ends(Index3 cell, int axis, int side) const {
     if (!reach_[axis]) return false;
     cell[axis] += side == 0 ? -1 : 1;
@@ -140,7 +141,7 @@ class CopyCells {
     return rest.empty();
   }
 
-  /// Cells of the copy whose cores lie in what one box of the level reaches.
+  /// Cells whose cores lie in what one box of the level reaches.
   Box surely_kept(int b) const {
     Box const &box = level_->box(b), region = reached(box);
     Box out = box.coarsen(size_).intersect(domain_);
@@ -154,13 +155,13 @@ class CopyCells {
   std::shared_ptr<Level const> level_;
   Faces boundary_;
   Index3 size_;
-  Box domain_;  ///< of the copy
+  Box domain_;  ///< of the semicoarsened level
   Index3 reach_;
   std::array<bool, 3> whole_;
 };
 
-/// By how much to coarsen each axis of a copy: 2 along the axes of smallest spacing, of those that can be coarsened,
-/// while another spacing is about twice that; else all ones.
+/// By how much to semicoarsen each axis of a level: 2 along the axes of smallest spacing, of those that can be
+/// coarsened, while another spacing is about twice that; else all ones.
 Index3 semicoarsening_of(Level const& level, Faces const& boundary) {
   Real3 const& h = level.spacing();
   auto shortens = [&](int d) { return can_be_coarsened(level.domain().extent(d), boundary[d]); };
@@ -174,20 +175,14 @@ Index3 semicoarsening_of(Level const& level, Faces const& boundary) {
   return ratio;
 }
 
-/// What a copy inherits from the level above it.
-struct Above {
-  std::shared_ptr<Level const> level;
-  Index3 size;  ///< cells of the refinement level per cell
-  WallGhosts walls;
-  std::array<UpperEnd, 3> upper;
-};
-
-LevelCopy copy_of(Above const& above, Index3 const& ratio, std::shared_ptr<Level const> const& level,
-                  Faces const& boundary, int max_grid_size) {
-  LevelCopy out{nullptr, ratio, above.walls, above.upper, {}, {}, {}};
+/// A refinement level semicoarsened by `ratio` once more than `above`, of which one cell has `size` of the refinement
+/// level's.
+SemicoarsenedLevel semicoarsened_of(SemicoarsenedLevel const& above, Index3 size, Index3 const& ratio,
+                                    std::shared_ptr<Level const> const& refinement, Faces const& boundary,
+                                    int max_grid_size) {
+  SemicoarsenedLevel out{0, nullptr, ratio, above.walls, above.upper, {}, {}, {}};
   Box domain = above.level->domain();
   Real3 spacing = above.level->spacing();
-  Index3 size = above.size;
   std::array<bool, 3> periodic = above.level->periodic();
   bool one_for_all = false;                          // along a closed axis
   std::array<std::array<Real, 2>, 3> wall_factor{};  // for prolongation
@@ -211,7 +206,7 @@ LevelCopy copy_of(Above const& above, Index3 const& ratio, std::shared_ptr<Level
     one_for_all = one_for_all || (axis.cells == 1 && is_closed(boundary[d]));
     periodic[d] = periodic[d] && axis.cells > 1;
   }
-  auto const cells = std::make_shared<CopyCells const>(level, boundary, size, domain);
+  auto const cells = std::make_shared<SemicoarseCells const>(refinement, boundary, size, domain);
   out.ghost = [cells, size](Index3 const& cell, int axis, int side) -> WallGhost {
     if (size[axis] == 1) return {interface_ghost::first, interface_ghost::second, 0};
     return {ghost_that_vanishes(cells->distance(cell, axis, side)), 0, 0};
@@ -225,27 +220,35 @@ LevelCopy copy_of(Above const& above, Index3 const& ratio, std::shared_ptr<Level
   }
   out.level = std::make_shared<Level const>(domain, periodic, spacing, std::move(distributed.boxes),
                                             std::move(distributed.first), above.level->rank());
-  out.prolonged = [ghost = out.ghost, wall_factor, copy = out.level](Index3 const& cell, int axis, int side) {
-    return copy->is_at_wall({cell, cell}, axis, side) ? wall_factor[axis][side] : ghost(cell, axis, side).first;
+  out.prolonged = [ghost = out.ghost, wall_factor, own = out.level](Index3 const& cell, int axis, int side) {
+    return own->is_at_wall({cell, cell}, axis, side) ? wall_factor[axis][side] : ghost(cell, axis, side).first;
   };
   return out;
 }
 
 }  // namespace
 
-std::vector<LevelCopy> semicoarse_copies(std::shared_ptr<Level const> const& level, WallGhosts const& walls,
-                                         Faces const& boundary, int max_grid_size) {
-  std::vector<LevelCopy> out;
-  Above above{level, {1, 1, 1}, walls, {}};
-  for (Index3 ratio; (ratio = semicoarsening_of(*above.level, boundary)) != Index3{1, 1, 1};) {
-    LevelCopy copy = copy_of(above, ratio, level, boundary, max_grid_size);
-    if (copy.level->box_count() == 0) break;
-    for (int d = 0; d < 3; ++d) above.size[d] *= ratio[d];
-    above.level = copy.level;
-    above.walls = copy.walls;
-    above.upper = copy.upper;
-    out.push_back(std::move(copy));
+CycleLevels::CycleLevels(MultigridLevels multigrid, int max_grid_size) : MultigridLevels(std::move(multigrid)) {
+  for (std::size_t l = base + 1; l < levels.size(); ++l) {
+    SemicoarsenedLevel above{l, levels[l], {1, 1, 1}, walls[l], {}, {}, {}, {}};
+    Index3 size{1, 1, 1};
+    for (Index3 ratio; (ratio = semicoarsening_of(*above.level, boundary)) != Index3{1, 1, 1};) {
+      SemicoarsenedLevel next = semicoarsened_of(above, size, ratio, levels[l], boundary, max_grid_size);
+      if (next.level->box_count() == 0) break;
+      next.finer = above.finer;
+      for (int d = 0; d < 3; ++d) size[d] *= ratio[d];
+      above = next;
+      above.finer = count();
+      semicoarsened.push_back(std::move(next));
+    }
   }
+}
+
+std::vector<std::size_t> CycleLevels::coarser(std::size_t l) const {
+  std::vector<std::size_t> out;
+  if (l > 0 && l < levels.size()) out.push_back(l - 1);
+  for (std::size_t c = levels.size(); c < count(); ++c)
+    if (finer(c) == l) out.push_back(c);
   return out;
 }
 

@@ -43,42 +43,68 @@ inline Real relaxation_on(Level const& level, Real shift, bool v_cycle, Real rel
   return 1 + (v_cycle ? 1 : 0.7) * of_shape * screened_relaxation(level.spacing(), shift) * (relaxation - 1);
 }
 
-/// Sweeps before and after a coarser correction.
+/// Sweeps before and after coarser corrections.
 struct Sweeps {
   int before, after;
 };
 
-/// Sweeps on a level that has copies, before a cycle over these and before the next coarser level's correction, of so
-/// many where there is none: the cycle has sweeps of its own. On 43 meshes of long and flat cells half of them, and one
-/// more on the copies, took as many cycles and three quarters of the time.
-inline int beside_local_cycle(int sweeps) { return (sweeps + 1) / 2; }
-
-/// Sweeps on copies, of those that the options name; after their corrections the level itself takes as many. Copies
-/// need some on either side, whatever the whole cycle does, and one more before in place of those that the level does
-/// not take.
-inline Sweeps sweeps_of_copies(Sweeps const& chosen) { return {chosen.before + 1, std::max(1, chosen.after)}; }
-
-/// A copy of a refinement level with fewer cells along the axes of small spacing, on which corrections that are smooth
-/// there are found.
-struct LevelCopy {
+/// A level with fewer cells along the axes of small spacing than a refinement level of long or flat cells.
+///
+/// A point smoother reduces no error that is smooth along those axes, and the next coarser level, with half the cells
+/// along all axes, does not resolve it where it oscillates along the others: cells of 1:1:10 took 100 cycles.
+struct SemicoarsenedLevel {
+  std::size_t finer;  ///< which level it corrects: the refinement level, or another semicoarsened one
   std::shared_ptr<Level const> level;
-  Index3 ratio;  ///< cells of the level above, the copy before it or the refinement level itself, per cell
+  Index3 ratio;  ///< cells of the finer level per cell
   WallGhosts walls;
   std::array<UpperEnd, 3> upper;
-  std::array<LastChildren, 3> children;  ///< what last cells above weigh in the means
+  std::array<LastChildren, 3> children;  ///< what last cells of the finer level weigh in the means
 
-  /// The ghost cell where the copy ends inside the domain: cell, axis, side.
+  /// The ghost cell where the level ends inside the domain: cell, axis, side.
   std::function<WallGhost(Index3 const&, int, int)> ghost;
   /// Factor of the last cell in the ghost that prolongation reads, at walls too.
   std::function<Real(Index3 const&, int, int)> prolonged;
 };
 
-/// The copies of a refinement level, finer ones first, until their cells are no longer long; none for cells that are
-/// not.
-///
-/// The cells of a copy follow from those of the level alone, not from its boxes: one is kept where corrections vanish
-/// no nearer to its centre than a quarter of its spacing. `walls` are those of the level.
-std::vector<LevelCopy> semicoarse_copies(std::shared_ptr<Level const> const& level, WallGhosts const& walls,
-                                         Faces const& boundary, int max_grid_size);
+/// The levels of a cycle, numbered as in MultigridLevels, the semicoarsened ones after these.
+struct CycleLevels : MultigridLevels {
+  /// Refinement levels are semicoarsened until their cells are no longer long. The cells follow from those of the level
+  /// alone, not from its boxes: one is kept where corrections vanish no nearer to its centre than a quarter of its
+  /// spacing.
+  CycleLevels(MultigridLevels multigrid, int max_grid_size);
+
+  std::vector<SemicoarsenedLevel> semicoarsened;
+
+  std::size_t count() const { return levels.size() + semicoarsened.size(); }
+  std::size_t finest() const { return levels.size() - 1; }
+  /// A level if it is semicoarsened, else null.
+  SemicoarsenedLevel const* semicoarse(std::size_t l) const {
+    return l < levels.size() ? nullptr : &semicoarsened[l - levels.size()];
+  }
+  std::shared_ptr<Level const> const& level(std::size_t l) const {
+    return l < levels.size() ? levels[l] : semicoarse(l)->level;
+  }
+  /// The level that level c corrects.
+  std::size_t finer(std::size_t c) const { return c < levels.size() ? c + 1 : semicoarse(c)->finer; }
+  /// Those that correct level l, in this order: the next coarser one, and a semicoarsened one, which also finds what
+  /// the coarser correction brought in along the coarse axis.
+  std::vector<std::size_t> coarser(std::size_t l) const;
+  bool halves_at_most(std::size_t l) const { return semicoarse(l) || MultigridLevels::halves_at_most(l); }
+
+  /// Sweeps on level l before coarser corrections, and after that of one of them, of those that the options name.
+  ///
+  /// A refinement level that has semicoarsened ones takes half of them, since these have sweeps of their own: some on
+  /// either side, whatever the whole cycle does, and one more before in place of those that the level does not take. On
+  /// 43 meshes of long and flat cells that took as many cycles and three quarters of the time.
+  int pre_sweeps(std::size_t l, Sweeps const& chosen) const {
+    return semicoarse(l) ? chosen.before + 1 : lessened(l, chosen.before);
+  }
+  int post_sweeps(std::size_t coarser, Sweeps const& chosen) const {
+    return semicoarse(coarser) ? std::max(1, chosen.after) : lessened(finer(coarser), chosen.after);
+  }
+
+ private:
+  int lessened(std::size_t l, int sweeps) const { return coarser(l).size() > 1 ? (sweeps + 1) / 2 : sweeps; }
+};
 
 }  // namespace amrpic

@@ -1,7 +1,8 @@
 #include "particle/buffer_zone.hpp"
 
 #include <algorithm>
-#include <stdexcept>
+
+#include "base/error.hpp"
 
 namespace amrpic {
 
@@ -56,7 +57,7 @@ std::vector<GlobalIndex> touched(Level const& coarse, Box const& box, ArrayOnBox
   for_each_cell(wanted.box(), [&](Index3 const& cell) {
     out.push_back(wanted(cell) ? numbers(coarse.fold_at_walls(cell)) : no_cell);
     if (wanted(cell) && out.back() == no_cell)
-      throw std::logic_error("cell " + to_string(cell) + " beside a covered one does not exist, although levels nest");
+      fail_alone("cell " + to_string(cell) + " beside a covered one does not exist, although levels nest");
   });
   return out;
 }

@@ -1,7 +1,6 @@
 #include "particle/ghost_plan.hpp"
 
-#include <stdexcept>
-
+#include "base/error.hpp"
 #include "mesh/array_on_box.hpp"
 
 namespace amrpic {
@@ -23,7 +22,7 @@ void mark_coarse(Numbered& out, ArrayOnBox<GlobalIndex> const& numbers, Level co
     for (int d = 0; d < 3; ++d) c[d] = (corner >> d) & 1 ? other[d] : parent[d];
     c = coarser.fold_at_walls(c);
     if (numbers(c) == no_cell && c == coarser.fold_at_walls(parent))
-      throw std::logic_error("cell " + to_string(c) + " beside a finer level does not exist, although levels nest");
+      fail_alone("cell " + to_string(c) + " beside a finer level does not exist, although levels nest");
     out.coarse[std::size_t(out.parents.offset(c))] = numbers(c);
   }
 }

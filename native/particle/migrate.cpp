@@ -51,10 +51,7 @@ std::vector<PlaceRange> Migration::under_way() const {
   return out;
 }
 
-void Migration::receive(ParticleView const& out) {
-  arrivals_.receive(places_.arrivals, out);
-  leaving_.words.clear();
-}
+void Migration::receive(ParticleView const& out) { arrivals_.receive(places_.arrivals, out); }
 
 std::vector<int> Migration::first_servers() const {
   return amrpic::first_servers(mesh_.hierarchy(), servers_, places_.remote);

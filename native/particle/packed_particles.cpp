@@ -123,22 +123,25 @@ Arrivals::Arrivals(std::size_t ranks, std::vector<std::pair<int, std::vector<std
   static_cast<Passing&>(*this) = Passing(counts);
 }
 
-void Arrivals::start(Communicator const& comm, LeavingParticles const& leaving) {
-  words_.resize(std::size_t(std::accumulate(words_of_.begin(), words_of_.end(), std::int64_t(0))));
-  std::int64_t* to = words_.data();
+void Arrivals::start(Communicator const& comm, LeavingParticles& leaving) {
+  under_way_.reset(new UnderWay{{}, std::exchange(leaving.words, {}), {}});
+  auto& [received, sent, messages] = *under_way_;
+  received.resize(std::size_t(std::accumulate(words_of_.begin(), words_of_.end(), std::int64_t(0))));
+  std::int64_t* to = received.data();
   for (int rank = 0; rank < comm.ranks(); ++rank) {
     std::size_t const words = std::size_t(words_of_[std::size_t(rank)]);
-    if (words > 0) messages_.receive(comm, to, words, rank);
+    if (words > 0) messages.receive(comm, to, words, rank);
     to += words;
   }
-  for (auto const& [rank, words] : leaving.words) messages_.send(comm, words.data(), words.size(), rank);
+  for (auto const& [rank, words] : sent) messages.send(comm, words.data(), words.size(), rank);
 }
 
 void Arrivals::receive(std::vector<LocalIndex> const& places, ParticleView const& out) {
-  messages_.wait_for_received();
-  has_weights_ ? unpack_rows<weight + 1>(words_, *this, places, out) : unpack_rows<weight>(words_, *this, places, out);
-  words_ = {};
-  messages_.wait_for_sent();
+  std::unique_ptr<UnderWay> const done(under_way_.release());
+  done->messages.wait_for_received();
+  auto const& words = done->received;
+  has_weights_ ? unpack_rows<weight + 1>(words, *this, places, out) : unpack_rows<weight>(words, *this, places, out);
+  done->messages.wait_for_sent();
 }
 
 void exchange_rows(Communicator const& comm, std::size_t width, LeavingParticles const& leaving,

@@ -3,6 +3,7 @@
 
 #include <cstdint>
 #include <map>
+#include <memory>
 #include <numeric>
 #include <utility>
 #include <vector>
@@ -48,9 +49,6 @@ struct LeavingParticles : Passing {
 class Arrivals : public Passing {
  public:
   Arrivals() = default;
-  Arrivals(Arrivals&&) = default;
-  Arrivals& operator=(Arrivals&&) = default;  ///< nothing of the one before may be under way
-  ~Arrivals() { messages_.wait_for_all(); }   // they read and write memory that is freed now
   /// `announced`: by some of so many ranks, in their order. `has_weights`: the same on all ranks.
   Arrivals(std::size_t ranks, std::vector<std::pair<int, std::vector<std::int64_t>>> const& announced,
            bool has_weights);
@@ -58,11 +56,13 @@ class Arrivals : public Passing {
   /// In the order of ranks.
   std::vector<Portion> const& portions() const { return portions_; }
 
-  /// Send those that leave, and ask for these. One message per pair of ranks that has any. `leaving` must live
-  /// until they are received, or this is destroyed, which waits for other ranks that have started. Local.
-  void start(Communicator const& comm, LeavingParticles const& leaving);
+  /// Send those that leave, whose words are taken, and ask for these. One message per pair of ranks that has any.
+  /// Local.
+  void start(Communicator const& comm, LeavingParticles& leaving);
   /// Let messages move. Whoever computes meanwhile calls this at times.
-  void poll() { messages_.poll(); }
+  void poll() {
+    if (under_way_) under_way_->messages.poll();
+  }
   /// Wait for them, and write those of each portion into `out`, from its place on. Weights are written if there is one
   /// for each. Collective.
   void receive(std::vector<LocalIndex> const& places, ParticleView const& out);
@@ -70,9 +70,18 @@ class Arrivals : public Passing {
  private:
   std::vector<Portion> portions_;
   std::vector<std::int64_t> words_of_;  ///< of each rank
-  std::vector<std::int64_t> words_;     ///< of all
   bool has_weights_ = false;
-  Messages messages_;
+  /// From `start` until they are received. What is given up before, as when a rank fails, keeps its memory: messages
+  /// may still read and write there, and waiting for other ranks might never end.
+  struct UnderWay {
+    std::vector<std::int64_t> received;             ///< words of all ranks
+    std::map<int, std::vector<std::int64_t>> sent;  ///< by rank
+    Messages messages;
+  };
+  struct GiveUp {
+    void operator()(UnderWay*) const {}
+  };
+  std::unique_ptr<UnderWay, GiveUp> under_way_;
 };
 
 /// Those that leave this rank, wrapped along periodic axes, with or without their weights. `leavers` are put into the

@@ -71,7 +71,7 @@ Backend::Backend(Problem const& problem)
       composite_(problem.hierarchy, shift_of(problem.options), problem.options.stretch, problem.options.order),
       cycle_(problem.hierarchy->comm(), *problem.hierarchy, shift_of(problem.options),
              {problem.options.pre_sweeps, problem.options.post_sweeps, problem.options.relaxation},
-             problem.options.order, composite_.mesh().plan().gap_fits),
+             problem.options.order, composite_.mesh().plan().gap_fits, problem.options.most_direct_readers),
       scale_(std::size_t(levels())),
       residual_(blocks(&matrixfree::SweptLevel::right_hand_side)),
       correction_(blocks(&matrixfree::SweptLevel::correction)),

@@ -59,8 +59,7 @@ class CrsBackend : public Backend {
   std::int64_t levels_assembled() const override { return levels_assembled_; }
   std::size_t bytes() const override {
     std::size_t sum = Backend::bytes();
-    for (MultigridLevel const& level : multigrid_.levels())
-      for (auto const* o : level.all_operators()) sum += o->bytes();
+    for (MultigridLevel const& level : multigrid_.levels()) sum += level.operators->bytes();
     return sum;
   }
 
@@ -85,11 +84,10 @@ class CrsBackend : public Backend {
   void average_down(CompositeVector& x) const;
   void multiply(CompositeVector const& x, int l, Real scale, LevelVector& out) const;
   CompositeEquations equations();
-  Blocks<Real> blocks(LevelVector& (MultigridLevel::*vector)());
-  void replace(LevelVector& (MultigridLevel::*vector)(),
-               CompositeVector const& (BiCgStab::*make)(CompositeVector const&));
+  Blocks<Real> blocks(LevelVector MultigridLevel::*vector);
+  void replace(LevelVector MultigridLevel::*vector, CompositeVector const& (BiCgStab::*make)(CompositeVector const&));
   template <class F>
-  void for_each_pair(Blocks<float> const& single, LevelVector& (MultigridLevel::*vector)(), F&& f);
+  void for_each_pair(Blocks<float> const& single, LevelVector MultigridLevel::*vector, F&& f);
 
   Hierarchy const& hierarchy_;
   MultigridLevels multigrid_levels_;
@@ -161,12 +159,12 @@ CompositeEquations CrsBackend::equations() {
 }
 
 /// Where the boxes' cells lie in a vector of the cycle, on the host.
-Blocks<Real> CrsBackend::blocks(LevelVector& (MultigridLevel::*vector)()) {
+Blocks<Real> CrsBackend::blocks(LevelVector MultigridLevel::*vector) {
   CompositeMesh const& mesh = composite_.mesh();
   Blocks<Real> out(std::size_t(mesh.levels()));
   std::vector<Real*> values;
   for (int l = 0; l < mesh.levels(); ++l)
-    values.push_back((cycle_level(l).*vector)().own().getLocalViewHost(Tpetra::Access::ReadWrite).data());
+    values.push_back((cycle_level(l).*vector).own().getLocalViewHost(Tpetra::Access::ReadWrite).data());
   mesh.for_each_box([&](int l, int b) {
     Index3 const pitch = mesh.box(l, b).strides();
     out[std::size_t(l)].push_back({values[std::size_t(l)] + mesh.offset(l, b), pitch[1], pitch[2]});
@@ -182,7 +180,7 @@ Real CrsBackend::find_residual() {
   composite_.residual_of_zero(*source_, Norm::max, unscaled, blocks(right_hand_side));
   for (int l = 0; l < mesh.levels(); ++l) copy_in(phi_->level(l), values_[std::size_t(l)].own());
   average_down(values_);
-  for (int l = 0; l < mesh.levels(); ++l) multiply(values_, l, -1, cycle_level(l).right_hand_side());
+  for (int l = 0; l < mesh.levels(); ++l) multiply(values_, l, -1, cycle_level(l).right_hand_side);
 
   Magnitude magnitude(problem_.options.norm);
   Blocks<Real> const values = blocks(right_hand_side);
@@ -193,13 +191,13 @@ Real CrsBackend::find_residual() {
                        residual_[std::size_t(l)][std::size_t(b)],
                        [&](Real const* cells, std::ptrdiff_t count) { magnitude.add(cells, count, mesh.volume(l)); });
   });
-  for (int l = 0; l < mesh.levels(); ++l) cycle_level(l).right_hand_side().own().scale(scale_[0]);
+  for (int l = 0; l < mesh.levels(); ++l) cycle_level(l).right_hand_side.own().scale(scale_[0]);
   return magnitude.over(mesh.comm());
 }
 
 /// Call f(level, value, value) for each cell of a vector of the matrix-free cycle and of one of this cycle.
 template <class F>
-void CrsBackend::for_each_pair(Blocks<float> const& single, LevelVector& (MultigridLevel::*vector)(), F&& f) {
+void CrsBackend::for_each_pair(Blocks<float> const& single, LevelVector MultigridLevel::*vector, F&& f) {
   Blocks<Real> const values = blocks(vector);
   composite_.mesh().for_each_box([&](int l, int b) {
     Block<float> const& there = single[std::size_t(l)][std::size_t(b)];
@@ -214,11 +212,11 @@ void CrsBackend::for_each_pair(Blocks<float> const& single, LevelVector& (Multig
 }
 
 /// A vector of the cycle by what BiCGStab makes of it.
-void CrsBackend::replace(LevelVector& (MultigridLevel::*vector)(),
+void CrsBackend::replace(LevelVector MultigridLevel::*vector,
                          CompositeVector const& (BiCgStab::*make)(CompositeVector const&)) {
-  for (std::size_t l = 0; l < values_.size(); ++l) values_[l].assign((cycle_level(int(l)).*vector)());
+  for (std::size_t l = 0; l < values_.size(); ++l) values_[l].assign((cycle_level(int(l)).*vector));
   CompositeVector const& made = ((*bicgstab_).*make)(values_);
-  for (std::size_t l = 0; l < values_.size(); ++l) (cycle_level(int(l)).*vector)().assign(made[l]);
+  for (std::size_t l = 0; l < values_.size(); ++l) (cycle_level(int(l)).*vector).assign(made[l]);
 }
 
 void CrsBackend::run_cycle() {

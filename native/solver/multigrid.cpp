@@ -1,76 +1,94 @@
 #include "solver/multigrid.hpp"
 
-#include "solver/copy_cycle.hpp"
-
 namespace amrpic {
 
-MultigridLevel::MultigridLevel(LevelOperators const& operators, std::unique_ptr<Smoother> smoother)
-    : operators_(operators),
-      smoother_(std::move(smoother)),
-      right_hand_side_(operators.cells),
-      correction_(operators.cells),
-      residual_(operators.cells) {}
+namespace {
 
-std::vector<LevelOperators const*> MultigridLevel::all_operators() const {
-  auto out = smoother_ ? smoother_->own_levels() : std::vector<LevelOperators const*>{};
-  out.push_back(&operators_);
-  return out;
+std::unique_ptr<Smoother> smoother_of(LevelOperators const& operators, bool v_cycle, SolverOptions options, int before,
+                                      int after) {
+  options.pre_sweeps = before;
+  options.post_sweeps = after;
+  return make_smoother(operators, v_cycle, options);
 }
 
-void MultigridLevel::restrict_right_hand_side(MultigridLevel& coarser) {
-  residual_.assign(right_hand_side_);
-  residual_.update_halo();
-  coarser.operators_.restriction.set_rows(residual_, coarser.right_hand_side_);
-}
-
-void MultigridLevel::pre_smooth_and_restrict(Guess guess, MultigridLevel& coarser) {
-  if (guess == Guess::zero) {
-    smoother_->smooth_from_zero(right_hand_side_, correction_);
-  } else {
-    operators_.prolongation.multiply(coarser.correction_, correction_);
-    smoother_->smooth(Side::before, right_hand_side_, correction_);
-  }
-  correction_.update_halo();
-  operators_.no_fine.subtract(right_hand_side_, correction_, residual_);
-  residual_.update_halo();
-  coarser.operators_.restriction.set_rows(residual_, coarser.right_hand_side_);
-  coarser.operators_.fine_boundary.add(-1, correction_, coarser.right_hand_side_);
-}
-
-void MultigridLevel::prolong_and_post_smooth(MultigridLevel const& coarser) {
-  operators_.prolongation.add(1, coarser.correction_, correction_);
-  operators_.coarse_boundary.add(-1, coarser.correction_, right_hand_side_);
-  smoother_->smooth(Side::after, right_hand_side_, correction_);
-}
+}  // namespace
 
 Multigrid::Multigrid(Communicator const& comm, MultigridLevels const& multigrid, MultigridOperators const& operators,
                      std::shared_ptr<Bottom> bottom, int max_grid_size, SolverOptions const& options)
-    : multigrid_levels_(multigrid), bottom_(std::move(bottom)) {
-  levels_.reserve(operators.size());
-  for (std::size_t l = 0; l < operators.size(); ++l) {
-    LevelOperators const& o = *operators[l];
-    std::unique_ptr<Smoother> smoother;  // the coarsest level needs none
-    if (multigrid.refines(l)) {
-      auto const copies = semicoarse_copies(o.level, o.walls, multigrid.boundary, max_grid_size);
-      smoother = make_refined_smoother(comm, o, copies, options);
+    : cycle_levels_(multigrid, max_grid_size), bottom_(std::move(bottom)) {
+  MultigridOperators all = operators;
+  for (auto const& level : cycle_levels_.semicoarsened) {
+    semicoarse_.push_back(semicoarse_operators(comm, all[level.finer]->level, level, shift_of(options)));
+    all.push_back(semicoarse_.back().level);
+  }
+  Sweeps const sweeps{options.pre_sweeps, options.post_sweeps};
+  for (std::size_t l = 0; l < all.size(); ++l) {
+    MultigridLevel level{
+        all[l], nullptr, nullptr, nullptr, nullptr, {}, LevelVector(all[l]->cells), LevelVector(all[l]->cells)};
+    auto const coarser = cycle_levels_.coarser(l);
+    if (l > 0)
+      level.smoother =
+          smoother_of(*all[l], cycle_levels_.halves_at_most(l), options, cycle_levels_.pre_sweeps(l, sweeps),
+                      coarser.empty() ? 0 : cycle_levels_.post_sweeps(coarser.front(), sweeps));
+    if (l != cycle_levels_.finest()) {
+      LevelOperators const& finer = *all[cycle_levels_.finer(l)];
+      auto const* own = cycle_levels_.semicoarse(l) ? &semicoarse_[l - operators.size()] : nullptr;
+      level.prolongation = own ? &own->prolongation : &finer.prolongation;
+      level.coarse_boundary = own ? nullptr : &finer.coarse_boundary;
+      level.residual.emplace(own ? own->finer : finer.cells);
+      if (cycle_levels_.coarser(cycle_levels_.finer(l)).front() != l)
+        level.after = smoother_of(finer, true, options, 0, cycle_levels_.post_sweeps(l, sweeps));
     }
-    if (l > 0 && !smoother) smoother = make_smoother(o, multigrid.halves_at_most(l), options);
-    levels_.emplace_back(o, std::move(smoother));
+    levels_.push_back(std::move(level));
   }
 }
 
-void Multigrid::cycle() {
-  run_cycle(multigrid_levels_,
-            {[&](std::size_t l) { levels_[l].restrict_right_hand_side(levels_[l - 1]); },
-             [&](std::size_t l, Guess guess) { levels_[l].pre_smooth_and_restrict(guess, levels_[l - 1]); },
-             [&](std::size_t l) {
-               levels_[l].prolong_and_post_smooth(levels_[l - 1]);
-               levels_[l].update_copies();
-             },
-             [&] {
-               bottom_->solve(levels_[0].right_hand_side(), levels_[0].correction());
-               levels_[0].update_copies();
-             }});
+void Multigrid::pre_smooth(std::size_t l, Guess guess) {
+  MultigridLevel& level = levels_[l];
+  if (guess == Guess::zero) {
+    level.smoother->smooth_from_zero(level.right_hand_side, level.correction);
+  } else {
+    levels_[l - 1].prolongation->multiply(levels_[l - 1].correction, level.correction);
+    level.smoother->smooth(Side::before, level.right_hand_side, level.correction);
+  }
+  level.correction.update_halo();
+}
+
+void Multigrid::find_residual(std::size_t l, std::size_t coarser) {
+  MultigridLevel const& level = levels_[l];
+  level.operators->no_fine.subtract(level.right_hand_side, level.correction, *levels_[coarser].residual);
+}
+
+void Multigrid::restrict_residual(std::size_t l, std::size_t c) {
+  MultigridLevel& coarser = levels_[c];
+  coarser.residual->update_halo();
+  coarser.operators->restriction.set_rows(*coarser.residual, coarser.right_hand_side);
+  coarser.operators->fine_boundary.add(-1, levels_[l].correction, coarser.right_hand_side);
+}
+
+void Multigrid::restrict_right_hand_side(std::size_t l) {
+  MultigridLevel& coarser = levels_[l - 1];
+  coarser.residual->assign(levels_[l].right_hand_side);
+  coarser.residual->update_halo();
+  coarser.operators->restriction.set_rows(*coarser.residual, coarser.right_hand_side);
+}
+
+void Multigrid::prolong(std::size_t c, std::size_t l) {
+  MultigridLevel const& coarser = levels_[c];
+  coarser.prolongation->add(1, coarser.correction, levels_[l].correction);
+  if (coarser.coarse_boundary) coarser.coarse_boundary->add(-1, coarser.correction, levels_[l].right_hand_side);
+}
+
+void Multigrid::post_smooth(std::size_t l, std::size_t coarser) {
+  MultigridLevel& level = levels_[l];
+  Smoother& smoother = levels_[coarser].after ? *levels_[coarser].after : *level.smoother;
+  smoother.smooth(Side::after, level.right_hand_side, level.correction);
+  level.correction.update_halo();
+}
+
+void Multigrid::solve_coarsest() {
+  bottom_->solve(levels_[0].right_hand_side, levels_[0].correction);
+  levels_[0].correction.update_halo();
 }
 
 }  // namespace amrpic

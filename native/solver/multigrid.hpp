@@ -1,64 +1,55 @@
 #pragma once
 
 #include <memory>
+#include <optional>
 #include <vector>
 
 #include "base/communicator.hpp"
 #include "operators/multigrid_cycle.hpp"
+#include "operators/semicoarse_operators.hpp"
 #include "solver/bottom.hpp"
 #include "solver/options.hpp"
 #include "solver/smoother.hpp"
 
 namespace amrpic {
 
-/// One level of the cycle: its operators, and vectors that are allocated once.
-class MultigridLevel {
- public:
-  /// The coarsest level needs no smoother.
-  MultigridLevel(LevelOperators const& operators, std::unique_ptr<Smoother> smoother);
-
-  /// Leave the mean of the right-hand side on the coarser level, of which nothing is uncovered. Collective.
-  void restrict_right_hand_side(MultigridLevel& coarser);
-
-  /// Smooth the guess, then leave the right-hand side of the coarser level. Collective.
-  ///
-  /// Covered coarse cells receive the mean of the remaining residual; uncovered ones beside this level lose what the
-  /// correction sends through the common faces.
-  void pre_smooth_and_restrict(Guess guess, MultigridLevel& coarser);
-
-  /// Add the coarser level's correction, take its part of the ghosts into account, smooth. Collective.
-  void prolong_and_post_smooth(MultigridLevel const& coarser);
-
-  /// Bring the correction's copies of other ranks' cells up to date. Collective.
-  void update_copies() { correction_.update_halo(); }
-
-  LevelOperators const& operators() const { return operators_; }
-  /// Operators of this level and of those that its smoother has for itself.
-  std::vector<LevelOperators const*> all_operators() const;
-  LevelVector& right_hand_side() { return right_hand_side_; }
-  LevelVector& correction() { return correction_; }
-
- private:
-  LevelOperators const& operators_;
-  std::unique_ptr<Smoother> smoother_;
-  LevelVector right_hand_side_, correction_, residual_;
+/// One level of the cycle: its operators, what leads to and from the finer level that it corrects, and vectors that are
+/// allocated once.
+struct MultigridLevel {
+  std::shared_ptr<LevelOperators> operators;
+  SparseMatrix const* prolongation;     ///< to the finer level; null of the finest
+  SparseMatrix const* coarse_boundary;  ///< of the finer level; null of the finest and semicoarsened ones
+  std::unique_ptr<Smoother> smoother;   ///< before coarser corrections, and after the first one; none of the coarsest
+  std::unique_ptr<Smoother> after;      ///< of the finer level, where this is the second that corrects it
+  std::optional<LevelVector> residual;  ///< of the finer level, with what restriction reads
+  LevelVector right_hand_side, correction;
 };
 
-/// The cycle over refinement levels and multigrid levels (see run_cycle) for corrections in residual form.
-class Multigrid {
+/// The cycle over refinement levels and multigrid levels (see run_cycle) for corrections in residual form, by products
+/// with the operators.
+class Multigrid : public CycleActs {
  public:
-  /// The levels must outlive it. Collective.
+  /// The operators must outlive it. Collective.
   Multigrid(Communicator const& comm, MultigridLevels const& multigrid, MultigridOperators const& operators,
             std::shared_ptr<Bottom> bottom, int max_grid_size, SolverOptions const& options);
 
   std::vector<MultigridLevel> const& levels() const { return levels_; }
-  MultigridLevel& level(std::size_t l) { return levels_[l]; }  ///< coarse to fine
+  MultigridLevel& level(std::size_t l) { return levels_[l]; }  ///< as in CycleLevels
 
   /// The corrections from the finest level down; reads every refinement level's right-hand side. Collective.
-  void cycle();
+  void cycle() { run_cycle(cycle_levels_, *this); }
+
+  void pre_smooth(std::size_t l, Guess guess) override;
+  void find_residual(std::size_t l, std::size_t coarser) override;
+  void restrict_residual(std::size_t l, std::size_t coarser) override;
+  void prolong(std::size_t coarser, std::size_t l) override;
+  void post_smooth(std::size_t l, std::size_t coarser) override;
+  void solve_coarsest() override;
+  void restrict_right_hand_side(std::size_t l) override;
 
  private:
-  MultigridLevels const& multigrid_levels_;
+  CycleLevels cycle_levels_;
+  std::vector<SemicoarseOperators> semicoarse_;
   std::vector<MultigridLevel> levels_;
   std::shared_ptr<Bottom> bottom_;
 };

@@ -1,7 +1,6 @@
 #pragma once
 
 #include <memory>
-#include <vector>
 
 #include "operators/operators.hpp"
 #include "solver/options.hpp"
@@ -21,9 +20,6 @@ class Smoother {
 
   /// x from its present values, by the sweeps before or after the coarse correction. Collective.
   virtual void smooth(Side side, LevelVector const& f, LevelVector& x) = 0;
-
-  /// Operators of levels that it has for itself.
-  virtual std::vector<LevelOperators const*> own_levels() const { return {}; }
 };
 
 /// The smoother that the options name, for a level whose operators outlive it; `v_cycle`: whether it is

@@ -75,7 +75,7 @@ def test_order_4_is_timed_beside_order_2():
 def test_steps_are_timed_with_each_compensation():
     records = list(compensation.steps("triangular-shaped-cloud", 1000, 2, cells=24))
     assert [record.name.split()[-1] for record in records] == ["none", "clouds", "clouds-and-mesh"]
-    assert all(len(record.seconds) == 2 and record.facts["stages"]["gather"] > 0 for record in records)
+    assert all(len(record.seconds) == 2 and record.facts["stages"]["push"] > 0 for record in records)
 
 
 def test_goals_in_work_units_take_the_least():
@@ -130,7 +130,7 @@ def test_memory_of_the_solver_is_measured_in_a_process_of_its_own():
 
 def test_a_step_is_reported_by_stages():
     record = pic_step.ours(WORLD, 16, 1000, "dirichlet", measuring.BACKEND, 1)
-    assert {"deposit", "solve", "gather", "push", "migrate"} <= set(record.facts["stages"])
+    assert {"deposit", "solve", "push", "migrate"} <= set(record.facts["stages"])
     assert sum(record.facts["stages"].values()) <= record.median
 
 

@@ -18,11 +18,12 @@ from amrpic.errors import InputError
 from amrpic.mesh.field import Field
 from amrpic.mesh.hierarchy import Hierarchy
 from amrpic.parallel import Traffic, VirtualRank, own, traffic
-from amrpic.run.adapt import follow, make_base
-from amrpic.run.initial_particles import make_particles
-from amrpic.run.particle_fields import ParticleFields
-from amrpic.run.plan import Plan as RunPlan
-from amrpic.run.simulation import Simulation
+from amrpic.pic.adapt import follow, make_base
+from amrpic.pic.frames import first_frames
+from amrpic.pic.initial_particles import make_particles
+from amrpic.pic.meshed import MeshedParticles
+from amrpic.pic.setup import set_up
+from amrpic.pic.simulation import Simulation
 from amrpic.scene.scene import Scene
 from amrpic.stages.deposit import Deposition, deposit
 from amrpic.stages.gather import gather
@@ -119,16 +120,16 @@ def test_virtual_ranks_send_what_real_ones_do(comm: MPI.Comm, boundary):
 def test_mesh_and_particles_of_bricks_are_those_of_a_run():
     made, comm = scene(), own(MPI.COMM_SELF)
     mesh, notes = planned_mesh(made, clouds_of(made))
-    plan = RunPlan(comm, made)
-    base = make_base(plan)
-    fields = follow(ParticleFields(migrate(make_particles(comm, made), base)[0], base, plan))
-    assert notes == [] and mesh.levels == fields.hierarchy.levels == 3
+    setup, base = set_up(comm, made), make_base(comm, made)
+    particles, _ = migrate(make_particles(comm, made), base)
+    beam = follow(MeshedParticles(particles, base, first_frames(particles, setup)), None, setup)
+    assert notes == [] and mesh.levels == beam.hierarchy.levels == 3
     for level in range(3):
         # noise of the particles and their clouds move the edge by a cell at most, which a block of eight may follow
-        assert mesh.cells(level) == pytest.approx(fields.hierarchy.cells(level), rel=0.15)
+        assert mesh.cells(level) == pytest.approx(beam.hierarchy.cells(level), rel=0.15)
     planned = bricks_of(clouds_of(made), mesh)
     assert planned.total == pytest.approx(300_000, abs=len(planned.rows))
-    places, counted = _native.count_per_brick(mesh.native, fields.particles.position)
+    places, counted = _native.count_per_brick(mesh.native, beam.particles.position)
     expected = _native.brick_windows(mesh.native, planned.rows, False)[0]
     found = np.bincount(np.searchsorted(places, expected).clip(max=len(places) - 1), planned.particles, len(places))
     assert np.abs(found - counted).max() < 6 * np.sqrt(counted.max())

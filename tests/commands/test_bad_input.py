@@ -215,7 +215,7 @@ SCRIPT = """
 import amrpic, amrpic.errors
 from mpi4py import MPI
 from amrpic.commands import main
-from amrpic.run.simulation import Simulation
+from amrpic.pic.simulation import Simulation
 
 def fail(simulation):
     if simulation.step == 3 and simulation.comm.rank == 1:

@@ -10,7 +10,7 @@ from mpi4py import MPI
 from scipy.integrate import solve_ivp
 
 from amrpic.external import ExternalFields
-from amrpic.run.state import State
+from amrpic.pic.state import State
 from amrpic.scene.scene import Scene
 from amrpic.units import ELEMENTARY_CHARGE, PROTON_MASS, SPEED_OF_LIGHT
 

@@ -9,18 +9,17 @@ import numpy as np
 from mpi4py import MPI
 
 from amrpic.particles.particles import Particles
-from amrpic.run.plan import Plan
-from amrpic.run.state import State
-from amrpic.run.step import advance, begin
+from amrpic.pic.state import State
+from amrpic.pic.step import advance, begin
 from amrpic.scene.scene import Scene
 
 
 def states(comm: MPI.Comm, scene: Mapping[str, Any]) -> Iterator[State]:
     """The states of a run from its start to its last step. Collective."""
-    plan = Plan(comm, Scene.from_dict(scene))
-    yield (state := begin(plan))
-    while state.step < plan.scene.schedule.last_step:
-        yield (state := advance(state, plan))
+    state, setup = begin(comm, Scene.from_dict(scene))
+    yield state
+    while state.step < setup.scene.schedule.last_step:
+        yield (state := advance(state, setup))
 
 
 def end(comm: MPI.Comm, scene: Mapping[str, Any]) -> State:

@@ -11,6 +11,7 @@ from mpi4py import MPI
 import amrpic
 from amrpic import gmls
 from amrpic.errors import InputError
+from amrpic.parallel import VirtualRank
 
 
 def mesh() -> amrpic.Hierarchy:
@@ -40,6 +41,17 @@ def test_cells_around_points_are_those_that_a_search_in_space_finds():
         distance = np.linalg.norm(sites[leaves] - points[p], axis=1)
         assert np.array_equal(found.index[found.start[p] : found.start[p + 1]], leaves[distance <= radius[p]])
     assert np.isclose((widths.prod(axis=1))[leaves].sum(), 12)
+
+
+def test_more_cells_than_32_bits_number_are_refused():
+    domain = amrpic.Domain((0, 0, 0), (1, 1, 1), (2048, 1024, 1024), boundary="dirichlet")
+    many = amrpic.Hierarchy(VirtualRank(0, 64), domain, max_grid_size=256)
+    sentence = (
+        "the hierarchy has 2147483648 cells; stencils can number 2147483647 at most; take fewer levels or wider cells"
+    )
+    for search in (lambda: gmls.cells_around(many, [[0.5, 0.5, 0.5]], 1e-3), lambda: gmls.leaves_around(many, 1.0)):
+        with pytest.raises(InputError, match=f"^{sentence}$"):
+            search()
 
 
 @pytest.mark.parametrize("reach", [1.0, 2.1, 3.3])

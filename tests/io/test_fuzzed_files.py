@@ -23,8 +23,8 @@ import whole_run
 from amrpic.errors import AmrpicError, InputError
 from amrpic.io import checkpoint_reader, integrity, openpmd_reader, vetting, vetting_child
 from amrpic.io.field_reader import open_dump
+from amrpic.pic.limits import check_scene
 from amrpic.results.run_results import Results
-from amrpic.run.limits import check_scene
 from amrpic.scene.scene import Scene
 from mpi_batch import PATIENCE
 from mutations import damaged, mistaken

@@ -18,8 +18,8 @@ from amrpic.io.provenance import Provenance
 from amrpic.parallel import share
 from amrpic.particles.particles import Particles
 from amrpic.particles.species import SPECIES, Species, SpeciesTable
-from amrpic.run.initial_particles import make_particles
-from amrpic.run.simulation import Simulation
+from amrpic.pic.initial_particles import make_particles
+from amrpic.pic.simulation import Simulation
 from amrpic.scene.scene import Scene
 from amrpic.units import ELEMENTARY_CHARGE, SPEED_OF_LIGHT
 from particle_cases import everywhere

@@ -9,7 +9,7 @@ import pytest
 from mpi4py import MPI
 
 import amrpic
-from amrpic.run.simulation import Simulation
+from amrpic.pic.simulation import Simulation
 from amrpic.scene.scene import Scene
 from amrpic.stages.deposit import deposit
 from amrpic.stages.migrate import migrate

@@ -1,4 +1,4 @@
-"""Trilinos ends once, at the end of the process, whatever still holds a solver then."""
+"""How processes end: Trilinos once, whatever still holds a solver then; all of a job, where one finds it broken."""
 
 from __future__ import annotations
 
@@ -49,3 +49,29 @@ except RuntimeError as refused:
 """
     done = subprocess.run([sys.executable, "-c", code], env=mpi_batch.ENVIRONMENT, capture_output=True, text=True)
     assert "MPI is not initialised" in done.stdout, done.stderr
+
+
+BROKEN = """
+import amrpic
+from mpi4py import MPI
+comm = MPI.COMM_WORLD
+if comm.rank == 0:
+    try:
+        amrpic._native.fail_alone("a cell that exists has no place")
+    except RuntimeError as failure:
+        print(f"raised: {failure}", flush=True)
+comm.Barrier()
+"""
+
+
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_promise_that_one_rank_finds_broken_ends_a_job_with_its_sentence(ranks):
+    """A script that goes on after any exception would leave the other rank waiting."""
+    command = ["mpiexec", "-n", str(ranks), sys.executable, "-c", BROKEN]
+    done = subprocess.run(command, env=mpi_batch.ENVIRONMENT, capture_output=True, text=True, timeout=60)
+    sentence = "a cell that exists has no place"
+    if ranks == 1:
+        assert (done.returncode, done.stdout) == (0, f"raised: {sentence}\n"), done.stderr
+    else:
+        assert done.returncode != 0 and "raised" not in done.stdout
+        assert f"amrpic: {sentence} (on rank 0 of 2 alone)\n" in done.stderr

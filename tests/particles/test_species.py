@@ -13,7 +13,7 @@ import backends
 from amrpic import Domain, Field, Hierarchy, VectorField
 from amrpic.particles.particles import Particles, concatenate
 from amrpic.particles.species import SPECIES, Species, SpeciesTable
-from amrpic.run.simulation import Simulation
+from amrpic.pic.simulation import Simulation
 from amrpic.scene.scene import Scene
 from amrpic.stages import diagnostics
 from amrpic.stages.deposit import deposit

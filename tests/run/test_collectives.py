@@ -38,7 +38,7 @@ import ctypes, json, sys
 from mpi4py import MPI
 import amrpic
 from amrpic.parallel import traffic
-from amrpic.run.output import Recorder
+from amrpic.pic.output import Recorder
 
 class Counts(ctypes.Structure):
     _fields_ = [(name, ctypes.c_long) for name in ("calls", "all_to_all", "pickled", "most_bytes")]

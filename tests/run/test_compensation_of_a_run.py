@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from amrpic.particles.clouds import PAYING, SHAPES, compensation_pays
-from amrpic.run.simulation import Simulation
+from amrpic.pic.simulation import Simulation
 from amrpic.scene.scene import Scene
 from amrpic.stages.diagnostics import potential_energy
 

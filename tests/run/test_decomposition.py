@@ -13,8 +13,7 @@ import pytest
 from mpi4py import MPI
 
 from amrpic import Scene
-from amrpic.run.plan import Plan
-from amrpic.run.step import advance, begin
+from amrpic.pic.step import advance, begin
 from regions import blocks_of
 
 SCENE = Path(__file__).parents[2] / "examples" / "ten_bunches.toml"
@@ -43,8 +42,7 @@ class Outcome:
 def run(comm: MPI.Comm, long: bool, *changes: str) -> Outcome:
     """Run the scene to its end without writing anything."""
     scene = Scene.from_toml(SCENE, ["solver.tolerance=1e-10", *([] if long else SMALLER), *changes])
-    plan = Plan(comm, scene)
-    state = begin(plan)
+    state, setup = begin(comm, scene)
     out = Outcome([], [], [], np.zeros(0), 0.0, 0.0)
     while True:
         levels = range(state.hierarchy.levels)
@@ -53,7 +51,7 @@ def run(comm: MPI.Comm, long: bool, *changes: str) -> Outcome:
         out.cycles.append(state.report.cycles)
         if state.step == scene.schedule.last_step:
             break
-        state = advance(state, plan)
+        state = advance(state, setup)
     out.phi, out.largest, out.charge = state.phi.sample(POINTS), state.phi.max_abs(), state.rho.integral()
     return out
 

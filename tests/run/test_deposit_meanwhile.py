@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from amrpic.run import flight
-from amrpic.run.simulation import Simulation
+from amrpic.pic import flight
+from amrpic.pic.simulation import Simulation
 from amrpic.scene.scene import Scene
 from amrpic.stages.deposit import Deposition
 

@@ -13,7 +13,7 @@ from mpi4py import MPI
 import amrpic
 from amrpic.errors import InputError
 from amrpic.external import ExternalFields
-from amrpic.run.limits import check_scene
+from amrpic.pic.limits import check_scene
 from amrpic.units import ELECTRON_MASS, SPEED_OF_LIGHT
 
 MC = ELECTRON_MASS * SPEED_OF_LIGHT

@@ -12,7 +12,7 @@ from mpi4py import MPI
 import amrpic
 from amrpic.io.field_reader import open_dump
 from amrpic.mesh.field import Field, VectorField
-from amrpic.run.state import State
+from amrpic.pic.state import State
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE, SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
 
 MC = ELECTRON_MASS * SPEED_OF_LIGHT
@@ -90,16 +90,15 @@ def test_fields_sampled_at_particles_are_those_of_the_push(comm: MPI.Comm, name:
     for _ in range(3):
         state = run.state
         staggered = state.staggered
-        assert staggered is not None
         e, b = sampled(comm, state)
         now = state.synchronized.momentum
-        half = run._plan.dt / 2
+        half = run._setup.dt / 2
         bound = 1e-10 * ELEMENTARY_CHARGE * np.abs(e).max(initial=1.0) * half + 1e-15 * np.abs(now).max(initial=0)
         drifts = "drift" in name and state.step == 0
-        if state.lag > 0:  # else it is half of both parts together, whose whole counts
+        if staggered.lag_to_keep > 0:  # else it is half of both parts together, whose whole counts
             found = now - state.particles.momentum
             assert np.abs(found - impulse(state.particles.momentum, now, e, b, half)).max(initial=0) < bound
-        if not drifts and (state.lag > 0 or state.step == 0):
+        if not drifts and (staggered.lag_to_keep > 0 or state.step == 0):
             after = staggered.moved.momentum
             assert np.abs(after - now - impulse(now, after, e, b, half)).max(initial=0) < bound
         run.advance()

@@ -10,8 +10,8 @@ from types import SimpleNamespace
 import pytest
 
 import amrpic
-from amrpic.run import forecast as module
-from amrpic.run.forecast import Forecast, Trial, _coarser, _extrapolated, forecast
+from amrpic.pic import forecast as module
+from amrpic.pic.forecast import Forecast, Trial, _coarser, _extrapolated, forecast
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

@@ -11,7 +11,7 @@ from mpi4py import MPI
 import amrpic
 from amrpic.errors import InputError, SolverError
 from amrpic.particles.frame import LABORATORY
-from amrpic.run.restart import _frames
+from amrpic.pic.restart import _frames
 from amrpic.units import ELECTRON_MASS, SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
 from exact.sources import Gaussian
 from verify import moving_charges

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from amrpic.particles.clouds import matched_pays
-from amrpic.run.simulation import Simulation
+from amrpic.pic.simulation import Simulation
 from amrpic.scene.scene import Scene
 
 CELL = 1 / 16  # m, of the finest level
@@ -106,7 +106,6 @@ def test_particle_at_a_face_hardly_pushes_itself_in_a_run(comm, shape):
         )
         simulation = Simulation(comm, given)
         staggered = simulation.state.staggered
-        assert staggered is not None
         felt = (staggered.moved.momentum - simulation.particles.momentum) / (
             simulation.particles.charge[:, None] * dt / 2
         )

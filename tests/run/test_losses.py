@@ -16,7 +16,7 @@ from amrpic import Scene, Simulation
 from amrpic.errors import SceneError
 from amrpic.io import checkpoint_writer, time_series
 from amrpic.io.checkpoint_writer import Snapshot
-from amrpic.run.restart import COLUMNS, snapshot
+from amrpic.pic.restart import COLUMNS, snapshot
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE, SPEED_OF_LIGHT
 
 MC = ELECTRON_MASS * SPEED_OF_LIGHT
@@ -232,7 +232,7 @@ def test_records_go_on_on_another_number_of_ranks_and_with_other_apertures(comm,
 
 def test_checkpoints_from_before_there_were_causes_are_read(comm, tmp_path):
     simulation = run(comm, scene(tmp_path, schedule={"steps": 12}))
-    held = snapshot(simulation.state, simulation._plan)
+    held = snapshot(simulation.state, simulation._setup)
     assert 0 < len(simulation.lost) < 4000
     outside = np.array(simulation.lost.particles.position) + np.array(
         [0, 0, 1e-4]

@@ -14,7 +14,7 @@ from mpi4py import MPI
 import mpi_batch
 from amrpic import Domain, Hierarchy, PoissonSolver, Scene
 from amrpic.mesh.boxes import table_of
-from amrpic.run.memory import LAPLACIAN, _copies, run_memory
+from amrpic.pic.memory import LAPLACIAN, _copies, run_memory
 from examples import EXAMPLES, with_bunches
 from hierarchies import all_cases
 

@@ -14,13 +14,13 @@ import pytest
 from mpi4py import MPI
 
 from amrpic import Scene
-from amrpic.run.adapt import make_base
-from amrpic.run.course import Course
-from amrpic.run.flight import place
-from amrpic.run.initial_particles import make_bunches
-from amrpic.run.plan import Plan
-from amrpic.run.state import State
-from amrpic.run.step import advance, begin
+from amrpic.pic.adapt import make_base
+from amrpic.pic.course import Course
+from amrpic.pic.flight import place
+from amrpic.pic.initial_particles import make_bunches
+from amrpic.pic.setup import set_up
+from amrpic.pic.state import State
+from amrpic.pic.step import advance, begin
 from amrpic.stages.migrate import BRICK_COST
 
 MANY = 2_000_000
@@ -65,11 +65,10 @@ def imbalance(state: State, brick_cost: int = 0) -> float:
 
 def outcome(comm: MPI.Comm, scene: Scene) -> tuple[list[float], dict[str, np.ndarray]]:
     """The imbalance after the start and each step, and what the last state comes to."""
-    plan = Plan(comm, scene)
-    state = begin(plan)
+    state, setup = begin(comm, scene)
     found = [imbalance(state)]
     while state.step < scene.schedule.last_step:
-        state = advance(state, plan)
+        state = advance(state, setup)
         found.append(imbalance(state))
     moments = state.moments()
     return found, {
@@ -111,14 +110,14 @@ def forget_peak() -> None:
 def test_placing_particles_takes_less_than_twice_their_bytes(comm, bunches):
     scene = one_box(0, MANY // 4 * comm.size)
     scene = scene.model_copy(update={"bunches": scene.bunches[:bunches]})
-    plan = Plan(comm, scene)
-    base = make_base(plan)
+    setup = set_up(comm, scene)
+    base = make_base(setup.comm, scene)
     base.particle_mesh  # noqa: B018  (made at the first access)
     made = make_bunches(comm, scene)
     many = comm.allreduce(sum(map(len, made)))
     forget_peak()
     before, window = resident("VmRSS"), Course.of_scene(scene).window
-    particles, _, _ = place(made, base, window, plan, 0.0)
+    particles = place(made, base, window, 0.0, setup).particles
     share = BYTES * many / comm.size
     assert comm.allreduce(len(particles), MPI.MAX) <= 1.05 * many / comm.size
     held = comm.allreduce((share + resident("VmHWM") - before) / share, MPI.MAX)
@@ -136,11 +135,10 @@ def test_drifting_bunches_stay_shared_out_in_the_same_memory(comm, long):
     given["motion"] = {"kind": "leapfrog", "dt": 0.6e-9 / steps}  # 0.13 m along z
     given["schedule"] = {"steps": steps}
     scene = Scene.from_dict(given)
-    plan = Plan(comm, scene)
-    state = begin(plan)
+    state, setup = begin(comm, scene)
     work, servers, meshes, held = [], set(), set(), {}
     for step in range(1, steps + 1):
-        state = advance(state, plan)
+        state = advance(state, setup)
         work.append(imbalance(state, BRICK_COST))
         servers.add(bytes(state.particles.sorted_on(state.hierarchy).servers))
         meshes.add(tuple(state.hierarchy.boxes(level).tobytes() for level in range(state.hierarchy.levels)))

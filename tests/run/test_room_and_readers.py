@@ -12,9 +12,9 @@ from amrpic.commands.arguments import scene_on_all_ranks
 from amrpic.errors import SceneError
 from amrpic.io import field_maps
 from amrpic.parallel import from_rank_0
-from amrpic.run import limits
-from amrpic.run.memory import DRAWING, Share, base_boxes, rank_memory, run_memory
-from amrpic.run.plan import Plan
+from amrpic.pic import limits
+from amrpic.pic.memory import DRAWING, Share, base_boxes, rank_memory, run_memory
+from amrpic.pic.setup import set_up
 
 PIC = {
     "domain": {"lower": -1, "upper": 1, "cells": 32},
@@ -75,7 +75,7 @@ def test_rank_0_alone_reads_the_scene_and_maps(comm, tmp_path, monkeypatch):
 
     monkeypatch.setattr(field_maps, "read", read)
     scene = Scene.from_dict({**PIC, "elements": [{"kind": "map", "file": "nowhere.h5", "centre": [0, 0, 0]}]})
-    e, _ = Plan(comm, scene).external.fields([(0.1, 0.2, 0.3)])
+    e, _ = set_up(comm, scene).external.fields([(0.1, 0.2, 0.3)])
     assert e == pytest.approx(2.0)
     assert len(calls) == (1 if comm.rank == 0 else 0)
 

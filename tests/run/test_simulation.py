@@ -14,8 +14,8 @@ import pytest
 from amrpic.io import openpmd_reader, time_series
 from amrpic.io import openpmd_writer as dumps
 from amrpic.parallel import Traffic, own, share
+from amrpic.pic.simulation import Simulation
 from amrpic.run.clock import Clock
-from amrpic.run.simulation import Simulation
 from amrpic.scene import scene as model
 from amrpic.stages.diagnostics import moments
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE, VACUUM_PERMITTIVITY
@@ -124,7 +124,6 @@ def test_momenta_are_those_of_the_time_of_positions_whenever_somebody_looks(comm
     seen, undisturbed = [], run(comm, given)
 
     def look(now: Simulation) -> None:
-        assert now.state.staggered is not None
         whole_kick = now.state.staggered.moved.momentum - now.state.particles.momentum
         early, synchronized = now.state.particles.momentum, now.particles.momentum
         kick = np.abs(whole_kick).max(initial=0)

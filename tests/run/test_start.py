@@ -59,12 +59,12 @@ def test_a_run_cut_in_two_by_a_file_goes_on_in_phase(comm, tmp_path):
     file = {"distribution": "openpmd", "file": str(tmp_path / "first.h5")}
     second = begun(comm, [file])
     assert second.time == first.time == pytest.approx(5 * DT, rel=1e-14)
-    assert any(note.startswith("schedule.start: 1.2e-10 s, the time of ") for note in second._plan.notes)
+    assert any(note.startswith("schedule.start: 1.2e-10 s, the time of ") for note in second._setup.remarks.notes)
     second.advance(25)
     assert second.time == pytest.approx(whole.time, rel=1e-14)
     np.testing.assert_allclose(momenta(second), momenta(whole), rtol=0, atol=1e-9)
     late = begun(comm, [file], schedule={"start": 0.0})
-    assert late.time == 0 and any("in place of 1.2e-10 s of" in note for note in late._plan.notes)
+    assert late.time == 0 and any("in place of 1.2e-10 s of" in note for note in late._setup.remarks.notes)
     late.advance(25)
     assert np.abs(momenta(late) - momenta(whole)).max() > 0.1  # another phase
 

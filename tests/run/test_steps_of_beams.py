@@ -10,9 +10,9 @@ import pytest
 from mpi4py import MPI
 
 import amrpic
-from amrpic.run import time_step
-from amrpic.run.plan import Plan
-from amrpic.run.step import begin
+from amrpic.pic import time_step
+from amrpic.pic.setup import Setup
+from amrpic.pic.step import begin
 from amrpic.units import (
     ELECTRON_MASS,
     ELEMENTARY_CHARGE,
@@ -53,7 +53,9 @@ def test_a_dense_fast_beam_gains_what_its_own_field_gives(pusher):
     assert momentum[:, 2].mean() / start - 1 == pytest.approx(1.59e-4, abs=3e-6)
     assert momentum[:, 2].std() / start == pytest.approx(1.98e-3, rel=0.01)
     assert momentum[:, 0].std() / start == pytest.approx(2.57e-5, rel=0.01)
-    noted = "motion.pusher: higuera-cary while the particles have a magnetic field of their own" in run._plan.notes
+    noted = (
+        "motion.pusher: higuera-cary while the particles have a magnetic field of their own" in run._setup.remarks.notes
+    )
     assert noted is (pusher == "boris")
     assert any("is long" in remark for remark in flown(given, 0, 30 * run.time / 12).remarks)
 
@@ -104,11 +106,11 @@ def random_beam(number: int) -> dict[str, Any]:
 def test_steps_of_random_beams_give_what_much_shorter_ones_give(number, shorter):
     """Over 20 steps or a plasma period, the shorter: mean p_z within 1e-3, spread and rms momenta within 5 %."""
     given = random_beam(number)
-    plan = Plan(MPI.COMM_SELF, amrpic.Scene.from_dict({**given, "motion": {**given["motion"], "dt": "auto"}}))
-    state = begin(plan)
-    omega = time_step.plasma_frequency(state.particles, state.hierarchy, plan.clouds, state.solution.frames)
-    steps = min(20, math.ceil(2 * math.pi / omega / plan.dt))
-    runs = flown(given, steps), flown(given, shorter * steps, plan.dt / shorter)
+    chosen = amrpic.Scene.from_dict({**given, "motion": {**given["motion"], "dt": "auto"}})
+    state, setup = begin(MPI.COMM_SELF, chosen)
+    omega = time_step.plasma_frequency(state.particles, state.hierarchy, setup.clouds, state.solution.frames)
+    steps = min(20, math.ceil(2 * math.pi / omega / setup.dt))
+    runs = flown(given, steps), flown(given, shorter * steps, setup.dt / shorter)
     (mean, spread, rms), exact = (
         (p[:, 2].mean(), p.std(axis=0), np.sqrt((p**2).mean(axis=0))) for p in (run.particles.momentum for run in runs)
     )
@@ -142,10 +144,8 @@ def ball(u: float, charge: float, radius: float, dt: Any = "auto") -> dict[str, 
     }
 
 
-def begun(given: dict[str, Any], comm: MPI.Comm = MPI.COMM_SELF) -> Plan:
-    plan = Plan(comm, amrpic.Scene.from_dict(given))
-    begin(plan)
-    return plan
+def begun(given: dict[str, Any], comm: MPI.Comm = MPI.COMM_SELF) -> Setup:
+    return begin(comm, amrpic.Scene.from_dict(given))[1]
 
 
 @pytest.mark.mpi(ranks=(1, 2))
@@ -153,15 +153,17 @@ def begun(given: dict[str, Any], comm: MPI.Comm = MPI.COMM_SELF) -> Plan:
 def test_a_field_that_gives_m_c_within_few_steps_sets_them(comm, u):
     """At the edge of a ball of 10 nC and 10 μm, 0.9 TV/m; one that moves has γ times as long steps."""
     charge, radius = 1e-8, 1e-5
-    plan = begun(ball(u, charge, radius), comm)
+    setup = begun(ball(u, charge, radius), comm)
     field = charge / (4 * np.pi * VACUUM_PERMITTIVITY * radius**2)
     time = ELECTRON_MASS * SPEED_OF_LIGHT / (ELEMENTARY_CHARGE * field) * math.hypot(1, u)
-    assert plan.dt == pytest.approx(time / time_step.PER_GAIN, rel=0.1)
-    assert ("m c across the motion in the particles' own field" if u else "γ m c in the particles' own") in plan.notes[
-        -1
+    assert setup.dt == pytest.approx(time / time_step.PER_GAIN, rel=0.1)
+    assert (
+        "m c across the motion in the particles' own field" if u else "γ m c in the particles' own"
+    ) in setup.remarks.notes[-1]
+    assert not setup.remarks.warnings
+    [remark] = [
+        one for one in begun(ball(u, charge, radius, 12 * setup.dt), comm).remarks.warnings if "particles' own" in one
     ]
-    assert not plan.remarks
-    [remark] = [one for one in begun(ball(u, charge, radius, 12 * plan.dt), comm).remarks if "particles' own" in one]
     assert "at least 4 are advisable" in remark
 
 
@@ -180,16 +182,15 @@ def test_light_particles_in_the_charge_of_heavy_ones_set_the_step(comm, u):
     given["bunches"] = [protons, electrons]
     found = []
     for bunches in ([protons], [protons, electrons]):
-        plan = Plan(comm, amrpic.Scene.from_dict({**given, "bunches": bunches}))
-        state = begin(plan)
-        found.append(time_step.oscillation(state.particles, state.hierarchy, plan.clouds, state.solution.frames))
+        state, setup = begin(comm, amrpic.Scene.from_dict({**given, "bunches": bunches}))
+        found.append(time_step.oscillation(state.particles, state.hierarchy, setup.clouds, state.solution.frames))
     density = charge * gamma / (4 / 3 * np.pi * radius**3)
     alone, light = (density * ELEMENTARY_CHARGE / (VACUUM_PERMITTIVITY * m) for m in (PROTON_MASS, ELECTRON_MASS))
     assert found[0] == pytest.approx(math.sqrt(alone / gamma**3), rel=0.05)
     assert found[1] == pytest.approx(math.sqrt(light), rel=0.05)
     if u == 0:
-        assert plan.dt == pytest.approx(2 * np.pi / found[1] / time_step.PER_PLASMA_PERIOD)
-        assert "oscillation of a particle in the charge of all" in plan.notes[-1]
+        assert setup.dt == pytest.approx(2 * np.pi / found[1] / time_step.PER_PLASMA_PERIOD)
+        assert "oscillation of a particle in the charge of all" in setup.remarks.notes[-1]
 
 
 def test_a_beam_that_grows_dense_gets_a_remark_at_a_later_step(monkeypatch):

@@ -12,9 +12,9 @@ from mpi4py import MPI
 
 import amrpic
 from amrpic.errors import InputError, SceneError
-from amrpic.run import time_step
-from amrpic.run.plan import Plan
-from amrpic.run.step import advance, begin
+from amrpic.pic import time_step
+from amrpic.pic.setup import Setup
+from amrpic.pic.step import advance, begin
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE, PROTON_MASS, SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
 from exact.passages import HARD, SMOOTH, TIME, error_of, flown, order, passage, through_hard, through_smooth
 from exact.runs import collected, states
@@ -51,11 +51,9 @@ def scene(*args: Any, **more: Any) -> amrpic.Scene:
     return amrpic.Scene.from_dict(described(*args, **more))
 
 
-def begun(given: amrpic.Scene, comm: MPI.Comm = MPI.COMM_SELF) -> Plan:
-    """The plan of a scene after its first solve."""
-    plan = Plan(comm, given)
-    begin(plan)
-    return plan
+def begun(given: amrpic.Scene, comm: MPI.Comm = MPI.COMM_SELF) -> Setup:
+    """The set-up of a scene after its first solve."""
+    return begin(comm, given)[1]
 
 
 def magnet(path: Path) -> Path:
@@ -107,15 +105,15 @@ ELEMENTS: dict[str, tuple[dict[str, Any], float]] = {  # and the step for the pr
 @pytest.mark.parametrize("rule", ELEMENTS)
 def test_an_element_sets_the_step_by_its_own_time(rule):
     element, step = ELEMENTS[rule]
-    plan = begun(scene({**element, "name": "of mine"}))
-    assert plan.dt == pytest.approx(step, rel=1e-9)
-    [note] = plan.notes
+    setup = begun(scene({**element, "name": "of mine"}))
+    assert setup.dt == pytest.approx(step, rel=1e-9)
+    [note] = setup.remarks.notes
     assert rule.removesuffix(" of focusing") in note and "of mine" in note
 
 
 def test_nodes_of_a_map_set_the_step(tmp_path):
-    plan = begun(scene({"kind": "map", "file": str(magnet(tmp_path / "b.h5")), "scale": 0.01}))
-    assert plan.dt == pytest.approx(0.005 / SPEED / time_step.PER_NODE)
+    setup = begun(scene({"kind": "map", "file": str(magnet(tmp_path / "b.h5")), "scale": 0.01}))
+    assert setup.dt == pytest.approx(0.005 / SPEED / time_step.PER_NODE)
     strong = begun(scene({"kind": "map", "file": str(tmp_path / "b.h5"), "scale": -100}))
     assert strong.dt == pytest.approx(2 * np.pi / (20 * PER_MASS) / time_step.PER_PERIOD)
 
@@ -124,9 +122,9 @@ def test_nodes_of_a_map_set_the_step(tmp_path):
 def test_cells_are_crossed_with_the_velocity_relative_to_the_window(window, per_cell):
     """Along z without a window; across with one, which goes along z with the reference particle."""
     reference = {"species": "proton", "momentum": [0, 0, U * MC]}
-    plan = begun(scene(u_x=1e-3 * GAMMA, window=window, reference=reference))  # 1e-3 c across, to first order
-    assert plan.dt == pytest.approx(1 / per_cell / time_step.PER_CELL, rel=1e-5)
-    assert f"cell of the finest level along {'z' if window == 'none' else 'x'}" in plan.notes[0]
+    setup = begun(scene(u_x=1e-3 * GAMMA, window=window, reference=reference))  # 1e-3 c across, to first order
+    assert setup.dt == pytest.approx(1 / per_cell / time_step.PER_CELL, rel=1e-5)
+    assert f"cell of the finest level along {'z' if window == 'none' else 'x'}" in setup.remarks.notes[0]
 
 
 def ball(gamma: float, dt: Any = "auto", of_other: float | None = None, **more: Any) -> amrpic.Scene:
@@ -171,20 +169,19 @@ def ball(gamma: float, dt: Any = "auto", of_other: float | None = None, **more: 
 @pytest.mark.mpi(ranks=(1, 2))
 @pytest.mark.parametrize("gamma", [1.0, 10.0])
 def test_the_plasma_period_is_that_of_all_species_together(comm, gamma):
-    plan = begun(ball(gamma), comm)
+    setup = begun(ball(gamma), comm)
     density = 4e-12 * gamma / (4 / 3 * np.pi * 1e-9)  # of |charge|, in the laboratory
     omega = np.sqrt(density * ELEMENTARY_CHARGE / (VACUUM_PERMITTIVITY * ELECTRON_MASS * gamma**3))
-    assert plan.dt == pytest.approx(2 * np.pi / omega / time_step.PER_PLASMA_PERIOD, rel=0.05)
-    assert "plasma period" in plan.notes[-1]
+    assert setup.dt == pytest.approx(2 * np.pi / omega / time_step.PER_PLASMA_PERIOD, rel=0.05)
+    assert "plasma period" in setup.remarks.notes[-1]
 
 
 def test_the_plasma_period_counts_energy_bins_with_their_own_mass():
     """Three quarters of a ball at γ = 10, the rest at γ = 20: ω² is the sum of both."""
     found = []
     for other in (10.0, 20.0):
-        plan = Plan(MPI.COMM_SELF, ball(10.0, of_other=other))
-        state = begin(plan)
-        found.append(time_step.plasma_frequency(state.particles, state.hierarchy, plan.clouds, state.solution.frames))
+        state, setup = begin(MPI.COMM_SELF, ball(10.0, of_other=other))
+        found.append(time_step.plasma_frequency(state.particles, state.hierarchy, setup.clouds, state.solution.frames))
     assert len(state.solution.frames.members) == 2
     assert (found[1] / found[0]) ** 2 == pytest.approx((3 + 1 / 8) / 4, rel=1e-3)
 
@@ -220,11 +217,11 @@ def test_other_steps_are_refused(dt, text):
 def test_a_long_step_gets_a_remark(given, words, longest):
     """One on each kind, where there are over 1 % fewer steps than are advisable, and none of a step that the run chose."""
     chosen = begun(given("auto"))
-    assert not chosen.remarks
-    assert not begun(given(chosen.dt)).remarks
-    assert not any(words in remark for remark in begun(given(1.009 * longest * chosen.dt)).remarks)
-    assert any(words in remark for remark in begun(given(1.012 * longest * chosen.dt)).remarks)
-    remarks = begun(given(1000 * chosen.dt)).remarks
+    assert not chosen.remarks.warnings
+    assert not begun(given(chosen.dt)).remarks.warnings
+    assert not any(words in remark for remark in begun(given(1.009 * longest * chosen.dt)).remarks.warnings)
+    assert any(words in remark for remark in begun(given(1.012 * longest * chosen.dt)).remarks.warnings)
+    remarks = begun(given(1000 * chosen.dt)).remarks.warnings
     assert sum(words in remark for remark in remarks) == 1
     assert all("motion.dt of" in remark and "is long" in remark for remark in remarks)
 
@@ -246,13 +243,13 @@ def test_a_restart_goes_on_bit_by_bit_with_the_step_that_was_chosen(comm, tmp_pa
         again.run()
         for found, should in zip([*collected(comm, again.particles), np.array(again.time)], whole, strict=True):
             assert np.array_equal(found, should)
-        assert again._plan.dt == run._plan.dt and not again.remarks
+        assert again._setup.dt == run._setup.dt and not again.remarks
 
 
 def test_a_restart_that_asks_for_it_anew_chooses_a_step(tmp_path):
     amrpic.Simulation(MPI.COMM_SELF, ball(1.0, 1e-12)).checkpoint(tmp_path / "made")
     again = amrpic.Simulation.restart(MPI.COMM_SELF, tmp_path / "made", ball(1.0))
-    assert again._plan.dt == pytest.approx(begun(ball(1.0)).dt)
+    assert again._setup.dt == pytest.approx(begun(ball(1.0)).dt)
 
 
 def test_a_restart_gets_a_remark_of_another_long_step_alone(tmp_path):
@@ -288,10 +285,10 @@ def test_both_forms_are_of_second_order_in_the_field_of_a_bunch():
     def ended(form: str, steps: int) -> np.ndarray:
         dt = time / (steps - 0.5 * (form == "drift-kick-drift"))
         given = ball(1.0, dt, schedule={"steps": steps}, solver={"tolerance": 1e-10})
-        plan = Plan(MPI.COMM_SELF, given.model_copy(update={"motion": given.motion.model_copy(update={"form": form})}))
-        state = begin(plan)
+        motion = given.motion.model_copy(update={"form": form})
+        state, setup = begin(MPI.COMM_SELF, given.model_copy(update={"motion": motion}))
         while state.step < steps:
-            state = advance(state, plan)
+            state = advance(state, setup)
         assert state.time == pytest.approx(time, rel=1e-12)
         return np.stack(collected(MPI.COMM_SELF, state.synchronized))
 

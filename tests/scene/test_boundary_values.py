@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from amrpic.errors import InputError, SceneError
-from amrpic.run.simulation import Simulation
+from amrpic.pic.simulation import Simulation
 from amrpic.scene.expression import formula
 from amrpic.scene.scene import Scene
 

@@ -15,8 +15,8 @@ from amrpic.commands.methods import scene_from
 from amrpic.errors import HierarchyError, InputError, SceneError
 from amrpic.mesh.domain import Domain
 from amrpic.mesh.hierarchy import Hierarchy
-from amrpic.run.limits import check_scene, memory_error, rank_cells_error
-from amrpic.run.memory import base_boxes
+from amrpic.pic.limits import check_scene, memory_error, rank_cells_error
+from amrpic.pic.memory import base_boxes
 from amrpic.scene.any_scene import read_data
 from amrpic.scene.complaints import RefusedScene
 from amrpic.scene.scene import Scene

@@ -18,7 +18,7 @@ from amrpic.particles.distributions import thermal
 from amrpic.particles.groups import Groups
 from amrpic.particles.phase_space import Plane
 from amrpic.particles.sampling import draw
-from amrpic.run.initial_particles import make_particles
+from amrpic.pic.initial_particles import make_particles
 from amrpic.scene.scene import Scene
 from amrpic.scene.thermal_bunch import ThermalBunch
 from amrpic.stages.beam_diagnostics import Beam, group_moments

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from mpi4py import MPI
 import amrpic
 from amrpic import _native
 from amrpic.parallel import Traffic, VirtualRank, traffic
+from amrpic.scene.solver_options import SolverOptions
 from hierarchies import Case, all_cases
 
 CASES = dict(sorted(all_cases().items())[::6])
@@ -35,12 +37,10 @@ def sent(mesh: amrpic.Hierarchy, cycles: int) -> Traffic:
 
 @contextmanager
 def most_direct_readers(most: int) -> Iterator[None]:
-    """Let coarser corrections that more than so many ranks read of one pass through others."""
-    before = _native.set_most_direct_readers(most)
-    try:
+    """Let coarser corrections that more than so many ranks read of one pass through others, with all solvers made here."""
+    values = SolverOptions.native_values
+    with patch.object(SolverOptions, "native_values", lambda self: values(self) | {"most_direct_readers": most}):
         yield
-    finally:
-        _native.set_most_direct_readers(before)
 
 
 def of_norm(mesh: amrpic.Hierarchy) -> int:
@@ -58,7 +58,7 @@ def test_a_real_cycle_sends_what_a_rehearsal_on_a_virtual_rank_does(comm, name, 
     unreal = hierarchy_of(CASES[name], VirtualRank(comm.rank, comm.size))
     with most_direct_readers(most):
         found = sent(mesh, 2) - sent(mesh, 1)
-        work = _native.cycle_work(unreal.native, 2, 2)
+        work = _native.cycle_work(unreal.native, 2, 2, most_direct_readers=most)
     beside = residual_and_field(unreal)[0] + of_correction(unreal)
     assert found.messages == sum(level.messages for level in work) + beside.messages
     assert found.bytes == sum(level.bytes for level in work) + beside.bytes
@@ -101,10 +101,10 @@ def test_a_residual_and_a_field_send_the_same_on_virtual_ranks(comm, name):
         assert comm.allreduce(residual.messages) > 0 and comm.allreduce(field.messages) > 0
 
 
-def cube(cells: int, rank: int, ranks: int) -> dict[int, _native.LevelWork]:
+def cube(cells: int, rank: int, ranks: int, most: int = 32) -> dict[int, _native.LevelWork]:
     domain = amrpic.Domain((0, 0, 0), (1, 1, 1), (cells,) * 3, boundary="dirichlet")
     mesh = amrpic.Hierarchy(VirtualRank(rank, ranks), domain, max_grid_size=24)
-    return {level.level: level for level in _native.cycle_work(mesh.native, 2, 2)}
+    return {level.level: level for level in _native.cycle_work(mesh.native, 2, 2, most_direct_readers=most)}
 
 
 def test_copies_are_relaxed_as_far_as_sweeps_read_them():
@@ -150,8 +150,7 @@ def test_what_many_read_passes_through_some_of_them():
     """A rank of a coarser level has the cells of eight ranks, and 4³ ranks read of it; each value passes at most twice."""
 
     def found(most: int) -> list[_native.LevelWork]:
-        with most_direct_readers(most):
-            return [cube(192, rank, 512)[-1] for rank in range(512)]
+        return [cube(192, rank, 512, most)[-1] for rank in range(512)]
 
     passed_on, direct = found(32), found(1000)
     assert max(work.messages for work in passed_on) < 0.65 * max(work.messages for work in direct)

@@ -69,6 +69,18 @@ def test_weak_screening_holds_the_mean_and_the_rest_is_as_without(comm, refined,
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("of_wave", [2e-11, 1e-10, 5e-10, 9e-10, 2e-9, 1e-8])
+def test_cycles_do_not_depend_on_how_weakly_screening_holds_the_mean(backend, of_wave):
+    """κ² over the square of the longest wave's number, around the values from which on cycles correct the mean."""
+    cells = (2, 6, 149)
+    hierarchy = amrpic.Hierarchy(MPI.COMM_SELF, amrpic.Domain(0, cells, cells, "neumann"), max_grid_size=24)
+    rho = amrpic.Field(hierarchy).fill(lambda x, y, z: epsilon_0 * ((x < 1) & (y > 3) & (abs(z - 57) < 36)))
+    kappa = np.sqrt(of_wave) * np.pi / cells[2]
+    _, report = amrpic.PoissonSolver(hierarchy, tolerance=1e-10, screening=kappa, backend=backend).solve(rho)
+    assert report.converged and report.cycles <= 9
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
 def test_screening_too_weak_for_double_precision_is_said_to_be(backend):
     """κ²h² of 1e-17: φ is 1e17 times the difference between two cells."""
     hierarchy = amrpic.Hierarchy(MPI.COMM_SELF, amrpic.Domain(0, 1, 16, "periodic"))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from amrpic import Domain, Field, Hierarchy, _native
+from amrpic import Domain, Field, Hierarchy
 from amrpic._native import FreeSpace, OpenWallPlans, traffic
 
 RANKS = (720, 2880, 13824)
@@ -117,16 +117,13 @@ def test_nodes_below_the_top_are_shared_where_they_are_few(comm):
                 of_region &= (64 * values > low) & (64 * values < high)
         return (inside[0] | inside[1]).astype(float)
 
-    rho, space, found = Field(hierarchy).fill(density), FreeSpace(hierarchy.native), {}
+    rho, found = Field(hierarchy).fill(density), {}
     for fewest in (2, 33):
-        before_set = _native.set_fewest_sharing_ranks(fewest)
-        try:
-            before = traffic()
-            values = space.walls(rho.native)
-            sent = tuple(b - a for a, b in zip(before, traffic(), strict=True))
-            expected = OpenWallPlans(hierarchy.native).counts(comm.rank, regions)
-        finally:
-            _native.set_fewest_sharing_ranks(before_set)
+        space = FreeSpace(hierarchy.native, fewest_sharing_ranks=fewest)
+        before = traffic()
+        values = space.walls(rho.native)
+        sent = tuple(b - a for a, b in zip(before, traffic(), strict=True))
+        expected = OpenWallPlans(hierarchy.native, fewest_sharing_ranks=fewest).counts(comm.rank, regions)
         assert sent == (expected["messages"], expected["bytes"], len(expected["collectives"]))
         found[fewest] = values, len(expected["collectives"])
     assert found[33][1] == 2 < found[2][1]

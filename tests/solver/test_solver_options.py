@@ -225,7 +225,7 @@ def test_options_may_be_numbers_of_numpy():
 
 
 def test_a_scene_hands_every_choice_to_the_solver():
-    from amrpic.run.plan import Plan
+    from amrpic.pic.setup import set_up
 
     chosen: dict[str, Any] = {
         "backend": "crs",
@@ -244,7 +244,7 @@ def test_a_scene_hands_every_choice_to_the_solver():
     scene = amrpic.Scene.from_dict(
         {"domain": {"lower": 0, "upper": 1, "cells": 16, "boundary": "dirichlet"}, "solver": chosen}
     )
-    _, by_scene = Plan(MPI.COMM_SELF, scene).solve(charge(hierarchy), None)
+    _, by_scene = set_up(MPI.COMM_SELF, scene).solvers.solve(charge(hierarchy), None)
     _, by_hand = PoissonSolver(hierarchy, max_cycles=50, **chosen).solve(charge(hierarchy))
     assert by_scene.residuals == by_hand.residuals
 

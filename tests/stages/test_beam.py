@@ -17,7 +17,7 @@ from amrpic.particles.particles import Particles
 from amrpic.particles.phase_space import PhaseSpace, Plane
 from amrpic.particles.sampling import draw
 from amrpic.particles.species import Species
-from amrpic.run.initial_particles import make_particles
+from amrpic.pic.initial_particles import make_particles
 from amrpic.scene.bunch_shapes import GaussianBunch
 from amrpic.scene.scene import Scene
 from amrpic.stages import beam

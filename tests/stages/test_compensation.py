@@ -43,7 +43,7 @@ def felt(comm, hierarchy, position, clouds: Clouds) -> np.ndarray:
 
 def added(comm, hierarchy, position, clouds: Clouds, **more) -> np.ndarray:
     """What compensation adds to a field of zeros at particles, by their ids, (n, 3) V/m on every rank. Collective."""
-    from amrpic.run.solution import zeros
+    from amrpic.pic.solution import zeros
 
     particles, _ = migrate(particles_at(comm, position), hierarchy)
     rho = deposit(particles, hierarchy, clouds)

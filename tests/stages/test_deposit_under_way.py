@@ -137,3 +137,18 @@ def test_a_migration_that_is_given_up_keeps_its_messages_until_they_have_passed(
         for one, other in zip(here.arrays, expected.arrays, strict=True):
             assert np.array_equal(one, other)
     comm.Barrier()
+
+
+@pytest.mark.mpi(ranks=2)
+def test_a_migration_that_is_given_up_waits_for_no_other_rank(comm):
+    """Of two ranks one starts and lets go; the other never starts, as if it had failed before."""
+    hierarchy = hierarchy_of(CROWDED, comm.Dup())  # what is under way stays there
+    particles, _ = migrate(scattered(hierarchy, 20 * COUNT), hierarchy)
+    there, servers = moved(hierarchy, particles, "of all ranks"), particles.sorted_on(hierarchy).servers
+    plan = _native.Migration(hierarchy.particle_mesh, servers, *there.arrays, NONE, True)
+    here = Particles.allocate(plan.arriving, particles.species)
+    if comm.rank == 0:
+        plan.start(*here.arrays)
+    del plan
+    comm.Barrier()
+    assert comm.allreduce(len(here)) > 0

@@ -17,8 +17,7 @@ from amrpic.errors import ParticleError
 from amrpic.particles.clouds import PLAIN, SHAPES, Clouds
 from amrpic.particles.particles import Particles
 from amrpic.particles.species import Species, SpeciesTable
-from amrpic.run.plan import Plan
-from amrpic.run.step import advance, begin
+from amrpic.pic.step import advance, begin
 from amrpic.scene.scene import Scene
 from amrpic.stages.deposit import deposit
 from amrpic.stages.gather import compensate, gather
@@ -175,11 +174,10 @@ def test_a_run_with_this_backend_is_that_of_vectors(comm):
             },
             source="a bunch",
         )
-        plan = Plan(comm, scene)
-        assert plan.clouds.kernels == ("kokkos" if backend == "kokkos" else "vectors")
-        state = begin(plan)
+        state, setup = begin(comm, scene)
+        assert setup.clouds.kernels == ("kokkos" if backend == "kokkos" else "vectors")
         while state.step < 4:
-            state = advance(state, plan)
+            state = advance(state, setup)
         moments = state.moments()
         return np.concatenate([moments.mean, moments.rms, state.efield.sample(np.full((1, 3), 0.006))[0]])
 

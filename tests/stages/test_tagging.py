@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import re
 import tomllib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +19,14 @@ from amrpic.errors import InputError, SceneError
 from amrpic.mesh.domain import Domain
 from amrpic.mesh.field import Field
 from amrpic.mesh.hierarchy import Hierarchy
-from amrpic.run.adapt import follow, make_base
-from amrpic.run.initial_particles import make_particles
-from amrpic.run.particle_fields import ParticleFields
-from amrpic.run.plan import Plan
-from amrpic.run.simulation import Simulation
-from amrpic.run.tagging_rules import apart, index_boxes, tags_of
+from amrpic.pic.adapt import follow, make_base
+from amrpic.pic.frames import first_frames
+from amrpic.pic.initial_particles import make_particles
+from amrpic.pic.meshed import MeshedParticles
+from amrpic.pic.quantities import Quantities
+from amrpic.pic.setup import Setup, set_up
+from amrpic.pic.simulation import Simulation
+from amrpic.pic.tagging_rules import apart, index_boxes, tags_of
 from amrpic.scene.refinement_rules import ARGUMENTS
 from amrpic.scene.scene import Scene
 from amrpic.stages.migrate import migrate
@@ -56,24 +58,35 @@ def scene(rule: Any, **refinement: Any) -> Scene:
     return Scene.from_dict(data)
 
 
-def on_base(comm: MPI.Comm, given: Scene) -> ParticleFields:
-    plan = Plan(comm, given)
-    base = make_base(plan)
-    return ParticleFields(migrate(make_particles(comm, given), base)[0], base, plan)
+def on_base(comm: MPI.Comm, given: Scene) -> tuple[MeshedParticles, Setup]:
+    setup = set_up(comm, given)
+    base = make_base(setup.comm, given)
+    particles, _ = migrate(make_particles(comm, given), base)
+    return MeshedParticles(particles, base, first_frames(particles, setup)), setup
+
+
+def on_first_mesh(comm: MPI.Comm, given: Scene) -> Quantities:
+    beam, setup = on_base(comm, given)
+    return Quantities(beam, None, setup)
+
+
+def on_last_mesh(comm: MPI.Comm, given: Scene) -> Quantities:
+    beam, setup = on_base(comm, given)
+    return Quantities(follow(beam, None, setup), None, setup)
 
 
 class World:
     """What the cells of all ranks hold, as dense arrays per level; nan, or nothing, where a level has no cells."""
 
-    def __init__(self, seen: ParticleFields, fields: bool) -> None:
+    def __init__(self, seen: Quantities, fields: bool) -> None:
         levels = range(seen.hierarchy.levels)
         self.exists = [mask(seen.hierarchy, level) == 1 for level in levels]
-        self.rho = [np.abs(dense(seen.rho, level)) for level in levels]
+        self.rho = [np.abs(dense(seen["rho"], level)) for level in levels]
         if fields:
-            self.phi = [np.abs(dense(seen.phi, level)) for level in levels]
-            components = [[dense(c, level) for c in seen.efield.components] for level in levels]
+            self.phi = [np.abs(dense(seen["phi"], level)) for level in levels]
+            components = [[dense(c, level) for c in seen["efield"].components] for level in levels]
             self.e = [np.linalg.norm(parts, axis=0) for parts in components]
-        all_ = everywhere(seen.plan.comm, seen.particles)
+        all_ = everywhere(seen.hierarchy.comm, seen.particles)
         speed = np.linalg.norm(all_["momentum"], axis=1)
         self.centre, self.size = (f(all_["position"], axis=0) for f in (np.mean, np.std))
         about = all_["momentum"] - all_["momentum"].mean(axis=0)
@@ -202,13 +215,13 @@ def test_rule_refines_the_cells_that_numpy_asks_for(comm, name):
     given = scene(rule, efficiency=1.0, max_grid_size=8)
     settings = Regridding(3, given.refinement.buffer, given.refinement.nesting, 1.0)
     static = BOX_CELLS if name == "any or a box" else []
-    seen, followed = on_base(comm, given), follow(on_base(comm, given))
+    seen, followed = on_first_mesh(comm, given), on_last_mesh(comm, given)
     assert followed.hierarchy.levels == (2 if name in ONE_LEVEL else 3)
     for now in seen, followed:  # what the first mesh makes of the base, and the one that stays
         world = World(now, fields=name.startswith(("potential", "field")))
         tags = [oracle(world, level) & world.exists[level] for level in range(min(now.hierarchy.levels, 2))]
         assert tags[0].any() and not tags[0].all()
-        made = refined(now, settings)
+        made = refined(now, given, settings)
         for level, blocks in enumerate(wanted_blocks(now.hierarchy, tags, settings, static=static), start=1):
             assert np.array_equal(coarser(mask(made, level) == 1, 4), blocks)
     assert made is followed.hierarchy
@@ -217,8 +230,8 @@ def test_rule_refines_the_cells_that_numpy_asks_for(comm, name):
 ONE_LEVEL = {"at most", "all inside a box"}
 
 
-def refined(seen: ParticleFields, settings: Regridding):
-    rule, static = apart(seen.plan.scene.refinement.rule)
+def refined(seen: Quantities, given: Scene, settings: Regridding):
+    rule, static = apart(given.refinement.rule)
     assert rule is not None
     return regrid(seen.hierarchy, tags_of(rule, seen), settings, index_boxes(static, seen.hierarchy.domain))
 
@@ -228,16 +241,16 @@ def refined(seen: ParticleFields, settings: Regridding):
 def test_boxes_are_those_of_one_rank_and_as_full_as_asked(comm, name):
     rule, oracle = CASES[name]
     given = scene(rule)
-    together, alone = follow(on_base(comm, given)), follow(on_base(MPI.COMM_SELF, given))
+    together, alone = on_last_mesh(comm, given), on_last_mesh(MPI.COMM_SELF, given)
     assert same_region(together.hierarchy, alone.hierarchy)
     world, settings = World(together, fields=False), Regridding(3)
     tags = [oracle(world, level) & world.exists[level] for level in range(2)]
     # The mesh as it is asks for itself: what is wanted is there, and boxes hold enough of it.
-    made = refined(together, settings)
+    made = refined(together, given, settings)
     blocks = wanted_blocks(together.hierarchy, tags, settings)
     for level in (1, 2):
         assert not np.any(blocks[level - 1] & ~coarser(mask(made, level) == 1, 4))
-    for box in refined(alone, settings).boxes(2) // 4:  # on more ranks, boxes of overfull ones are halved
+    for box in refined(alone, given, settings).boxes(2) // 4:  # on more ranks, boxes of overfull ones are halved
         part = blocks[1][box[0] : box[3] + 1, box[1] : box[4] + 1, box[2] : box[5] + 1]
         assert part.mean() >= settings.efficiency or part.size == 1
 
@@ -258,7 +271,7 @@ def test_beams_without_a_size_or_a_spread_have_a_centre_and_no_outliers(comm, na
     position, momenta = DEGENERATE[name]
     bunch = {"distribution": "arrays", "position": position, "momenta": momenta, "charge": 1e-11}
     data = {"domain": DOMAIN, "bunches": [bunch], "refinement": {"levels": 2, "blocking_factor": 4}}
-    seen = on_base(comm, Scene.from_dict(data))
+    seen = on_first_mesh(comm, Scene.from_dict(data))
     near, outliers = (
         on_cells(seen.hierarchy, tags_of(scene(rule).refinement.rule, seen))[0]
         for rule in ({"kind": "radius", "at_most": 1}, {"kind": "momentum", "relative": 0.5, "relative_to": "rms"})
@@ -310,12 +323,13 @@ LOOSENED = {
 def test_what_is_refined_stays_while_loosened_thresholds_ask_for_it(comm, name):
     """On a mesh that was refined for something else; what loosened thresholds ask for elsewhere does not come."""
     rule, oracle = LOOSENED[name]
-    old = follow(on_base(comm, scene(ELSEWHERE)))
-    seen = ParticleFields(old.particles, old.hierarchy, Plan(comm, scene(rule, efficiency=1.0)))
+    beam, setup = on_base(comm, scene(ELSEWHERE))
+    given = scene(rule, efficiency=1.0)
+    seen = Quantities(replace(follow(beam, None, setup), rho=None), None, set_up(comm, given))
     world = World(seen, fields=False)
     strict, loose = ([oracle(world, level, part) & world.exists[level] for level in range(2)] for part in (1, 0.25))
     kept, plain = (wanted_blocks(seen.hierarchy, strict, FULL, stays) for stays in (loose, []))
-    asked = seen.plan.scene.refinement.rule
+    asked = given.refinement.rule
     loosened = tags_of(asked, seen, 0.25)
     assert all(
         np.array_equal(found, loose[level]) for level, found in enumerate(on_cells(seen.hierarchy, loosened)[:2])
@@ -349,14 +363,15 @@ def test_cells_that_touch_boxes_are_found_across_periodic_faces(comm):
 def meshes(comm: MPI.Comm, hysteresis: float, charges: list[float]) -> list[Hierarchy]:
     """The meshes that follow particles whose charge changes, each made from the one before."""
     given = scene({"kind": "charge-density", "absolute": "200 nC/m^3"})
-    seen, out = on_base(comm, given), list[Hierarchy]()
-    weight = np.array(seen.particles.weight)
+    (beam, setup), out = on_base(comm, given), list[Hierarchy]()
+    weight = np.array(beam.particles.weight)
     for charge in charges:
-        particles = dataclasses.replace(seen.particles, weight=weight * charge)
-        particles, _ = migrate(particles, seen.hierarchy)
-        seen = follow(ParticleFields(particles, seen.hierarchy, seen.plan), hysteresis if out else 1.0)
-        weight = np.array(seen.particles.weight) / charge
-        out.append(seen.hierarchy)
+        particles = replace(beam.particles, weight=weight * charge)
+        particles, _ = migrate(particles, beam.hierarchy)
+        moved = MeshedParticles(particles, beam.hierarchy, beam.frames)
+        beam = follow(moved, None, setup, hysteresis if out else 1.0)
+        weight = np.array(beam.particles.weight) / charge
+        out.append(beam.hierarchy)
     return out
 
 
@@ -507,9 +522,9 @@ def fails(rho):
     ],
 )
 def test_function_that_fails_on_one_rank_is_reported_by_all(comm, function, words):
-    seen = on_base(comm, scene({"kind": "callable", "function": function}, max_grid_size=8))
+    beam, setup = on_base(comm, scene({"kind": "callable", "function": function}, max_grid_size=8))
     with pytest.raises(InputError) as failed:
-        follow(seen)
+        follow(beam, None, setup)
     (message,) = set(comm.allgather(str(failed.value)))
     for word in words:
         assert word in message

@@ -7,7 +7,7 @@ from typing import Any
 
 from mpi4py import MPI
 
-from amrpic.run.simulation import Simulation
+from amrpic.pic.simulation import Simulation
 from amrpic.scene.scene import Scene
 
 SCENE: dict[str, Any] = {

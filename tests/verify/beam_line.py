@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from amrpic.run.state import State
+from amrpic.pic.state import State
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE, SPEED_OF_LIGHT
 from amrpic.verify.draw import picture
 from amrpic.verify.table import Cell, Goal, Table

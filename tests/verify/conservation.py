@@ -14,9 +14,8 @@ from amrpic.mesh.field import Field
 from amrpic.particles.clouds import Clouds, Shape
 from amrpic.particles.particles import Particles
 from amrpic.particles.species import Species, SpeciesTable
-from amrpic.run.plan import Plan
-from amrpic.run.state import State
-from amrpic.run.step import advance, begin
+from amrpic.pic.state import State
+from amrpic.pic.step import advance, begin
 from amrpic.scene.scene import Scene
 from amrpic.stages.deposit import deposit
 from amrpic.stages.diagnostics import Moments, field_energy, moments, potential_energy
@@ -164,13 +163,12 @@ def _plasma(comm: MPI.Comm) -> list[list[Cell]]:
         },
         "motion": {"kind": "leapfrog", "dt": 0.2 / frequency},
     }
-    plan = Plan(comm, Scene.from_dict(scene))
-    state = begin(plan)
+    state, setup = begin(comm, Scene.from_dict(scene))
     energy, gone, worst_momentum, worst_charge = _energy(state), 0.0, 0.0, 0.0
     scale = electrons * warm * math.sqrt(3)
     start = _beam(state).momentum
     for _ in range(round(10 * 2 * math.pi / 0.2)):
-        before, state = len(state.lost.particles), advance(state, plan)
+        before, state = len(state.lost.particles), advance(state, setup)
         gone += _energy_of_lost(state, before)
         drift = _beam(state).momentum + moments(comm, state.lost.particles).momentum - start
         worst_momentum = max(worst_momentum, float(np.abs(drift).max()) / scale)
@@ -226,11 +224,10 @@ def _carried(comm: MPI.Comm, levels: int) -> list[Cell]:
         "refinement": {"levels": levels, "regrid_every": 2},
         "motion": {"kind": "leapfrog", "dt": 1.0},
     }
-    plan = Plan(comm, Scene.from_dict(scene))
-    state = begin(plan)
+    state, setup = begin(comm, Scene.from_dict(scene))
     cold = state.report.cycles
     most = {False: 0, True: 0}
     for _ in range(24):
-        state = advance(state, plan)
+        state = advance(state, setup)
         most[state.regridded] = max(most[state.regridded], state.report.cycles)
     return [most[False], Goal(most[True] or math.nan, most[False]), cold]

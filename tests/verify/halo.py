@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
-from amrpic.run.plan import Plan
-from amrpic.run.state import State
-from amrpic.run.step import advance, begin
+from amrpic.pic.state import State
+from amrpic.pic.step import advance, begin
 from amrpic.scene.scene import Scene
 from amrpic.verify.draw import picture
 from amrpic.verify.table import Goal, Table
@@ -80,12 +79,10 @@ def _reached(comm: MPI.Comm, core: Envelope, start: np.ndarray, radius: np.ndarr
         [start * np.cos(angle), start * np.sin(angle), np.linspace(-0.49, 0.49, len(start)) * LENGTH], axis=1
     )
     tests = {"distribution": "arrays", "species": "electron", "position": place, "charge": 1e-15 * core.charge * LENGTH}
-    plan = Plan(
-        comm, Scene.from_dict(slab([core.bunch(CORE), tests], [FOCUSING], PERIOD / STEPS, len(radius) - 1, LEVELS))
-    )
-    state, largest = begin(plan), start.copy()
+    scene = Scene.from_dict(slab([core.bunch(CORE), tests], [FOCUSING], PERIOD / STEPS, len(radius) - 1, LEVELS))
+    (state, setup), largest = begin(comm, scene), start.copy()
     for before, after in itertools.pairwise(radius):
-        state = advance(_breathing(state, after / before), plan)
+        state = advance(_breathing(state, after / before), setup)
         position, _ = collected(comm, state.particles.select(state.particles.id >= CORE))
         np.maximum(largest, np.hypot(position[:, 0], position[:, 1]), out=largest)
     return largest
@@ -94,7 +91,6 @@ def _reached(comm: MPI.Comm, core: Envelope, start: np.ndarray, radius: np.ndarr
 def _breathing(state: State, factor: float) -> State:
     """Return the state whose core goes to where it is now, times a factor across the beam, whatever drives it."""
     particles, staggered = state.particles, state.staggered
-    assert staggered is not None
     moved = np.where(particles.id[:, None] < CORE, particles.position * (factor, factor, 1.0), staggered.moved.position)
     return replace(state, staggered=replace(staggered, moved=staggered.moved.replace(position=moved)))
 

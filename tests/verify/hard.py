@@ -11,9 +11,8 @@ from mpi4py import MPI
 from amrpic.mesh.domain import Domain
 from amrpic.mesh.field import Field
 from amrpic.mesh.hierarchy import Hierarchy
-from amrpic.run.plan import Plan
-from amrpic.run.simulation import Simulation
-from amrpic.run.step import advance, begin
+from amrpic.pic.simulation import Simulation
+from amrpic.pic.step import advance, begin
 from amrpic.scene.scene import Scene
 from amrpic.stages.poisson import PoissonSolver, SolveReport
 from amrpic.verify.table import Cell, Goal, Table
@@ -221,11 +220,10 @@ def _many_regrids(comm: MPI.Comm) -> Outcome:
         "refinement": {"levels": 1, "blocking_factor": 4, "max_grid_size": 16, "regrid_every": 1},
         "motion": {"kind": "leapfrog", "dt": 1.0},
     }
-    plan = Plan(comm, Scene.from_dict(scene))
-    state, meshes = begin(plan), 1
+    (state, setup), meshes = begin(comm, Scene.from_dict(scene)), 1
     drift, cycles, early = 0.0, 0, 0.0
     while meshes < 200 and state.step < 1000:
-        before, state = state.hierarchy, advance(state, plan)
+        before, state = state.hierarchy, advance(state, setup)
         meshes += state.hierarchy is not before
         drift = max(drift, abs(state.rho.integral() / CHARGE - 1))
         cycles = max(cycles, state.report.cycles)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from mpi4py import MPI
 
-from amrpic.run.state import State
+from amrpic.pic.state import State
 from amrpic.stages.diagnostics import potential_energy
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE
 from amrpic.verify.table import Cell, Goal, Table

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from amrpic.run.beam_tables import groups_of
-from amrpic.run.plan import Plan
-from amrpic.run.state import State
-from amrpic.run.step import advance, begin
+from amrpic.pic.beam_tables import groups_of
+from amrpic.pic.setup import Setup
+from amrpic.pic.state import State
+from amrpic.pic.step import advance, begin
 from amrpic.scene.scene import Scene
 from amrpic.stages.beam_diagnostics import FRACTIONS, group_moments, group_quantiles
 from amrpic.verify.draw import picture
@@ -123,21 +123,20 @@ def scene(form: Form, cells: int, levels: int, deep: int = 1, rule: Mapping[str,
 
 def run(comm: MPI.Comm, form: Form, of: Mapping[str, Any]) -> Course:
     """Run a scene to its end. Collective."""
-    plan, radii, spent = Plan(comm, Scene.from_dict(of)), [], 0.0
-    state = begin(plan)
+    (state, setup), radii, spent = begin(comm, Scene.from_dict(of)), [], 0.0
     for _ in range(STEPS * form.periods):
         start = time.process_time()
-        state = advance(state, plan)
+        state = advance(state, setup)
         spent += time.process_time() - start
-        radii.append(_radii(comm, state, plan))
+        radii.append(_radii(comm, state, setup))
     seconds = comm.allreduce(spent, MPI.MAX) / len(radii)
     cells = state.hierarchy.cells()
     return Course(np.array(radii), seconds, cells)
 
 
-def _radii(comm: MPI.Comm, state: State, plan: Plan) -> np.ndarray:
+def _radii(comm: MPI.Comm, state: State, setup: Setup) -> np.ndarray:
     """Radii across the beam within which the `FRACTIONS` of the particles lie, m. Collective."""
-    groups = groups_of(state, plan.scene)
+    groups = groups_of(state, setup.scene)
     moments = group_moments(comm, state.beam, groups)
     (found,) = group_quantiles(comm, state.beam, groups, moments).values()
     return found.transverse

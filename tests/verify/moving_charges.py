@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 from amrpic.parallel import share
 from amrpic.particles.species import SPECIES, Species
-from amrpic.run.simulation import Simulation
+from amrpic.pic.simulation import Simulation
 from amrpic.scene.scene import Scene
 from amrpic.units import ELEMENTARY_CHARGE, SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
 from amrpic.verify.table import Cell, Goal, Table

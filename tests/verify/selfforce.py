@@ -12,8 +12,7 @@ from amrpic.mesh.hierarchy import Hierarchy
 from amrpic.particles.clouds import Clouds
 from amrpic.particles.particles import Particles
 from amrpic.particles.species import Species, SpeciesTable
-from amrpic.run.plan import Plan
-from amrpic.run.step import advance, begin
+from amrpic.pic.step import advance, begin
 from amrpic.scene.scene import Scene
 from amrpic.stages.deposit import deposit
 from amrpic.stages.diagnostics import moments
@@ -196,10 +195,9 @@ def _end_of_flight(comm: MPI.Comm, interface: str, levels: int) -> Flight:
         "particles": {"interface": interface},
         "solver": {"tolerance": 1e-8},
     }
-    plan = Plan(comm, Scene.from_dict(scene))
-    state = begin(plan)
+    state, setup = begin(comm, Scene.from_dict(scene))
     for _ in range(steps):
-        state = advance(state, plan)
+        state = advance(state, setup)
     particles = state.synchronized
     found = moments(comm, particles)
     count = particles.global_count(comm)

@@ -14,7 +14,7 @@ from mpi4py import MPI
 
 from amrpic.commands.main import main
 from amrpic.errors import InputError
-from amrpic.run.initial_particles import make_particles
+from amrpic.pic.initial_particles import make_particles
 from amrpic.scene import solver_options
 from amrpic.scene.scene import Scene
 from amrpic.units import VACUUM_PERMITTIVITY as EPS0

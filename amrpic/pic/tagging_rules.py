@@ -25,54 +25,54 @@ from ..scene.refinement_rules import (
 from ..stages import tag
 from ..stages.diagnostics import moments
 from ..stages.tag import Tags
-from .particle_fields import ParticleFields
+from .quantities import Quantities
 
 
-def tags_of(rule: RuleKind, fields: ParticleFields, part: float = 1.0) -> Tags:
+def tags_of(rule: RuleKind, quantities: Quantities, part: float = 1.0) -> Tags:
     """Return the cells that a rule tags if its thresholds are taken `part` as strict. Collective."""
-    tags = _tags(rule, fields, part)
+    tags = _tags(rule, quantities, part)
     levels = None if isinstance(rule, StaticRule) else rule.levels
     return tags if levels is None else tag.on_levels(tags, levels)
 
 
-def _tags(rule: RuleKind, fields: ParticleFields, part: float) -> Tags:
+def _tags(rule: RuleKind, quantities: Quantities, part: float) -> Tags:
     match rule:
         case StaticRule():
-            return tag.inside(fields.hierarchy, index_boxes([rule], fields.hierarchy.domain))
+            return tag.inside(quantities.hierarchy, index_boxes([rule], quantities.hierarchy.domain))
         case AnyRule():
-            return tag.either(*(tags_of(one, fields, part) for one in rule.of))
+            return tag.either(*(tags_of(one, quantities, part) for one in rule.of))
         case AllRule():
-            return tag.both(*(tags_of(one, fields, part) for one in rule.of))
+            return tag.both(*(tags_of(one, quantities, part) for one in rule.of))
         case ParticlesRule():
             at_least = part * (rule.at_least or 0)
-            return tag.between(fields.particles_per_cell, at_least, _over(rule.at_most, part))
+            return tag.between(quantities["particles_per_cell"], at_least, _over(rule.at_most, part))
         case CallableRule():
-            given = {name: getattr(fields, name) for name in _MADE if name in rule.arguments}
+            values_of = {name: quantities[name] for name in Quantities.NAMES if name in rule.arguments}
             return tag.by_function(
-                fields.hierarchy, rule.function, rule.name, rule.arguments, {**given, "hysteresis": part}
+                quantities.hierarchy, rule.function, rule.name, rule.arguments, {**values_of, "hysteresis": part}
             )
         case MomentumRule():
-            return _by_momentum(rule, fields, part)
+            return _by_momentum(rule, quantities, part)
         case RadiusRule():
-            beam = moments(fields.hierarchy.comm, fields.particles, domain=fields.hierarchy.domain)
+            beam = moments(quantities.hierarchy.comm, quantities.particles, domain=quantities.hierarchy.domain)
             at_least, at_most = part * (rule.at_least or 0.0), _over(rule.at_most, part)
             axes = [AXES.index(axis) for axis in rule.axes]
-            return tag.within(fields.hierarchy, beam.mean, beam.rms, axes, at_least, at_most)
+            return tag.within(quantities.hierarchy, beam.mean, beam.rms, axes, at_least, at_most)
         case ChargeDensityRule():
-            values = tag.magnitude(fields.rho, "charge density")
+            values = tag.magnitude(quantities["rho"], "charge density")
         case PotentialRule():
-            values = tag.magnitude(fields.phi, "potential")
+            values = tag.magnitude(quantities["phi"], "potential")
         case FieldStrengthRule():
-            values = tag.magnitude(fields.efield, "field")
-    return tag.exceeding(values, part * _thresholds(rule, tag.largest(fields.hierarchy.comm, values)))
+            values = tag.magnitude(quantities["efield"], "field")
+    return tag.exceeding(values, part * _thresholds(rule, tag.largest(quantities.hierarchy.comm, values)))
 
 
 def _over(at_most: float | None, part: float) -> float:
     return math.inf if at_most is None else at_most / part
 
 
-def _by_momentum(rule: MomentumRule, fields: ParticleFields, part: float) -> Tags:
-    particles, hierarchy = fields.particles, fields.hierarchy
+def _by_momentum(rule: MomentumRule, quantities: Quantities, part: float) -> Tags:
+    particles, hierarchy = quantities.particles, quantities.hierarchy
     if rule.relative_to == "rms":
         beam = moments(hierarchy.comm, particles.replace(position=particles.momentum))  # momenta in place of positions
         spreads = tag.in_spreads(particles.momentum, beam.mean, beam.rms)
@@ -80,9 +80,6 @@ def _by_momentum(rule: MomentumRule, fields: ParticleFields, part: float) -> Tag
     size = np.linalg.norm(particles.momentum, axis=1)
     most = tag.largest_inside(size, particles, hierarchy)
     return tag.holding(size, particles, hierarchy, part * _thresholds(rule, most))
-
-
-_MADE = ("rho", "phi", "efield", "particles_per_cell")
 
 
 def _thresholds(rule: Threshold, most: np.ndarray) -> np.ndarray:

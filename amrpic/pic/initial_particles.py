@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -13,6 +14,7 @@ from mpi4py import MPI
 from ..errors import InputError
 from ..io import openpmd_reader
 from ..io.vetting import require_readable_on_all
+from ..mesh.domain import Domain
 from ..parallel import from_rank_0, share, together
 from ..particles.particles import Particles, concatenate
 from ..particles.phase_space import PhaseSpace
@@ -167,3 +169,41 @@ def _lattice(comm: MPI.Comm, scene: Scene, bunch: LatticeBunch, first_id: int) -
         momentum=bunch.mean_momentum,
         first_id=first_id,
     )
+
+
+# ---- particles outside the domain ----
+
+
+def outside(comm: MPI.Comm, bunches: Sequence[Particles], domain: Domain) -> list[str]:
+    """Return a sentence for each bunch of which particles are outside. Collective.
+
+    Raises InputError on all ranks if more than half of a bunch, but not all of all, are.
+    """
+    walls = ~np.array(domain.periodic)
+    lower, upper = np.array(domain.lower)[walls], np.array(domain.upper)[walls]
+    counts = [
+        (len(bunch), int(((bunch.position[:, walls] < lower) | (bunch.position[:, walls] > upper)).any(axis=1).sum()))
+        for bunch in bunches
+    ]
+    of_all = comm.allreduce(np.array(counts, dtype=np.int64).reshape(-1, 2))
+    worst = int(np.argmax(2 * of_all[:, 1] - of_all[:, 0]))
+    made, outside = of_all[worst].tolist()
+    if 2 * outside > made and of_all[:, 1].sum() < of_all[:, 0].sum():
+        raise InputError(
+            f"{outside} of {made} particles of bunch {worst} of {len(bunches) - 1} lie outside the domain; "
+            "move the bunch (one from a file by its shift), make it smaller, or enlarge the domain"
+        )
+    return [
+        f"{outside} of {made} particles of bunch {number} of {len(bunches) - 1} lie outside the domain at the start: lost"
+        for number, (made, outside) in enumerate(of_all.tolist())
+        if 0 < outside < made
+    ]
+
+
+def require_some_inside(comm: MPI.Comm, inside: Particles, made: int) -> None:
+    """Raise InputError on all ranks if none of the particles that were made is inside the domain. Collective."""
+    if made > 0 and inside.global_count(comm) == 0:
+        raise InputError(
+            f"all {made} particles of the scene lie outside the domain; move the bunches (those from files by "
+            "their shift) or enlarge it"
+        )

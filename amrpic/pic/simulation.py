@@ -20,23 +20,23 @@ from ..mesh.window import Window
 from ..parallel import together, world_by_default
 from ..particles.particles import Particles
 from ..results.run_results import Results
+from ..run.clock import Clock
+from ..run.folder import STOP, claimed
+from ..run.log import Log
+from ..run.stop import Stop
 from ..scene.scene import Scene
 from ..stages.poisson import SolveReport
 from ..units import quantity
 from .beam_tables import Diagnostic
-from .clock import Clock
 from .course import Reference
 from .field_functions import FieldFunction
-from .flight import kicked
-from .folder import STOP, claimed
-from .log import Log
+from .leapfrog import synchronized
 from .output import Recorder
-from .plan import Plan
 from .records import Record
 from .restart import about, load, snapshot, writers_of
+from .setup import Setup
 from .state import State
 from .step import advance, begin, with_momenta
-from .stop import Stop
 
 
 class Simulation:
@@ -60,13 +60,11 @@ class Simulation:
             raise InputError(
                 f"a simulation was given {scene!r:.60} to run; give an amrpic.Scene, as of Scene.from_toml"
             )
-        plan = Plan(comm, scene, fields)
-        self._hold(plan, begin(plan))
+        self._hold(*begin(comm, scene, fields))
 
-    def _hold(self, plan: Plan, state: State) -> None:
-        self.comm, self.scene = plan.comm, plan.scene
-        self.state = state
-        self._plan = plan
+    def _hold(self, state: State, setup: Setup) -> None:
+        self.comm, self.scene = setup.comm, setup.scene
+        self.state, self._setup = state, setup
         self._callbacks: list[Callable[[Simulation], None]] = []
         self._diagnostics: dict[str, Diagnostic] = {}
         self._begun = False  # whether the files of this run are there
@@ -84,9 +82,8 @@ class Simulation:
         is made anew and the field solved on it, from the potential carried over. `fields` are as for a new run: a checkpoint
         holds their names alone. On as many ranks as wrote it, the run goes on bit by bit as it would have.
         """
-        state, plan = load(comm, Path(path), scene, fields)
         run = cls.__new__(cls)
-        run._hold(plan, state)
+        run._hold(*load(comm, Path(path), scene, fields))
         run._begun = run._recorded = True
         return run
 
@@ -107,10 +104,10 @@ class Simulation:
         step, and is part of what this step writes if called from `on_step`. Raises InputError on all ranks if the shape is
         another one, or a number not finite.
         """
-        now = kicked(self.state, self._plan)
+        now = synchronized(self.state, self._setup)
         with together(self.comm, InputError):
             momentum = now.synchronized.momentum + _momenta(change, len(now.particles), now.step)
-        self.state = with_momenta(now, momentum, self._plan)
+        self.state = with_momenta(now, momentum, self._setup)
 
     def diagnose(self, name: str, diagnostic: Diagnostic) -> None:
         """Have the numbers and arrays that `diagnostic` returns for a state written into `own_<name>.csv`.
@@ -125,7 +122,7 @@ class Simulation:
     def advance(self, steps: int = 1) -> State:
         """Take so many steps, also beyond the last one of the scene, and return the state then. Collective."""
         for _ in range(steps):
-            self.state = advance(self.state, self._plan)
+            self.state = advance(self.state, self._setup)
             self._recorded = False
             for callback in self._callbacks:
                 callback(self)
@@ -149,19 +146,19 @@ class Simulation:
         with (
             claimed(self.comm, self.scene),
             Stop(self.comm, walltime, self.scene.directory / STOP) as stop,
-            Recorder(self.comm, self.state, self._plan, self._begun, self._diagnostics, log) as record,
+            Recorder(self.comm, self.state, self._setup, self._begun, self._diagnostics, log) as record,
         ):
             self._begun = True
             if not self._recorded:
                 self._record(record)
             while self.step < self.scene.schedule.last_step:
                 if (reason := stop.reason()) is not None:
-                    self.state = kicked(self.state, self._plan)
+                    self.state = synchronized(self.state, self._setup)
                     record.stopped(self.state, reason)
                     return reason
                 self.advance()
                 self._record(record)
-            self.state = kicked(self.state, self._plan)
+            self.state = synchronized(self.state, self._setup)
             with self.clock("output"):
                 return record.end(self.state, stop.reason)
 
@@ -171,8 +168,8 @@ class Simulation:
 
     def checkpoint(self, path: str | Path) -> None:
         """Write the whole state into the new directory `path`. Collective; OutputError on all ranks."""
-        state = kicked(self.state, self._plan)
-        content = snapshot(state, self._plan)
+        state = synchronized(self.state, self._setup)
+        content = snapshot(state, self._setup)
         checkpoint_writer.write(self.comm, Path(path), content, writers_of(self.scene))
 
     def write_particles(self, path: str | Path) -> None:
@@ -180,7 +177,7 @@ class Simulation:
 
         Collective; OutputError on all ranks.
         """
-        state = kicked(self.state, self._plan)
+        state = synchronized(self.state, self._setup)
         write_particles(
             self.comm,
             Path(path),
@@ -195,12 +192,12 @@ class Simulation:
     @property
     def clock(self) -> Clock:
         """What measures the stages of steps."""
-        return self._plan.clock
+        return self._setup.clock
 
     @property
     def remarks(self) -> list[str]:
         """What is legal in this run and yet may not be meant, one sentence each."""
-        return [*self.scene.remarks(), *self._plan.remarks]
+        return [*self.scene.remarks(), *self._setup.remarks.warnings]
 
     @property
     def hierarchy(self) -> Hierarchy:

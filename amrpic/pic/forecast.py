@@ -7,7 +7,7 @@ import shutil
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from statistics import median
 
@@ -146,24 +146,26 @@ def _tried(comm: MPI.Comm, scene: Scene, end: float) -> tuple[Trial, int, int]:
     with _folder(comm, scene.directory / FOLDER) as folder:
         output = Output(directory=str(folder), write=[kind for kind in scene.output.write if kind == "series"])
         simulation, beam, start = _started(comm, scene.model_copy(update={"output": output}), end)
-        plan = simulation._plan
+        setup = simulation._setup
         taken: list[tuple[bool, float]] = []  # whether a step regrids, and its s
         begun = time.perf_counter()
-        with Recorder(comm, simulation.state, plan, False, log="silent") as record:
+        with Recorder(comm, simulation.state, setup, False, log="silent") as record:
             record.state(simulation.state, [])
             start += time.perf_counter() - begun
             while simulation.step < scene.schedule.last_step:
                 if len(taken) > 1 and not _in_time(comm, taken[-1][1], end):
                     regrids = any(regrids for regrids, _ in taken)
-                    if regrids or not scene.refinement.follows or plan.scene.refinement.regrid_every == 0:
+                    if regrids or not scene.refinement.follows or setup.scene.refinement.regrid_every == 0:
                         break
                     # none came up to now: the next step makes one
-                    refinement = plan.scene.refinement.model_copy(update={"regrid_every": 1})
-                    plan.scene = plan.scene.model_copy(update={"refinement": refinement})
+                    refinement = setup.scene.refinement.model_copy(update={"regrid_every": 1})
+                    simulation._setup = setup = replace(
+                        setup, scene=setup.scene.model_copy(update={"refinement": refinement})
+                    )
                 begun = time.perf_counter()
                 simulation.advance()
                 record.state(simulation.state, [])
-                regrids = plan.scene.refinement.regrids_at(simulation.step)
+                regrids = setup.scene.refinement.regrids_at(simulation.step)
                 taken.append((regrids, time.perf_counter() - begun))
         begun = time.perf_counter()
         simulation.checkpoint(folder / "checkpoint")

@@ -19,20 +19,20 @@ from ..mesh.field import Field, VectorField
 from ..parallel import together
 from ..particles.frame import LABORATORY
 from ..results.run_results import SERIES
+from ..run.folder import set_aside
+from ..run.log import Log, RunLog
+from ..run.status import Status
 from ..stages.diagnostics import measure, quantities
 from ..units import Quantity, quantity
 from ..view.draw import drawn
 from ..view.views import OVERVIEW
 from .beam_tables import BeamTables, Diagnostic
 from .fills import Fills
-from .flight import kicked
-from .folder import set_aside
-from .log import Log, RunLog
+from .leapfrog import synchronized
 from .loss_files import write_losses, write_screens
-from .plan import Plan
 from .restart import about, snapshot, writers_of
+from .setup import Setup
 from .state import State
-from .status import Status
 
 RESIDUALS = "residuals.csv"
 HISTORY = (  # of the solves: a row for each guess and each cycle
@@ -54,13 +54,13 @@ class Recorder:
         self,
         comm: MPI.Comm,
         state: State,
-        plan: Plan,
+        setup: Setup,
         resumed: bool,
         own: Mapping[str, Diagnostic] | None = None,
         log: Log = "print",
     ) -> None:
-        scene = plan.scene
-        self._comm, self._scene, self._plan, self._clock = comm, scene, plan, plan.clock
+        scene = setup.scene
+        self._comm, self._scene, self._setup, self._clock = comm, scene, setup, setup.clock
         self._wanted = set(scene.output.write)
         self._about = about(scene)
         self._levels = scene.refinement.levels + 1
@@ -70,7 +70,9 @@ class Recorder:
         self._since = time.perf_counter() - sum(state.seconds.values())
         self._log = RunLog(comm, scene.schedule.last_step, how=log)
         self._log.note(f"kernels: {isa.description()}")
-        self._noted = len(plan.notes) if resumed else 0  # of what the run chose by itself, those that the log has
+        self._noted = (
+            len(setup.remarks.notes) if resumed else 0
+        )  # of what the run chose by itself, those that the log has
         self._note()
         if self._wanted and not resumed and (earlier := set_aside(comm, scene.directory)) is not None:
             self._log.note(earlier)
@@ -78,7 +80,7 @@ class Recorder:
         keep = state.step if resumed else None
         self._series = self._open(SERIES, quantities(self._levels), keep)
         self._residuals = self._open(RESIDUALS, HISTORY, keep)
-        self._fills = Fills(plan.remark)
+        self._fills = Fills(setup.remarks.remark)
         wanted = "series" in self._wanted
         self._beam = BeamTables(comm, state, scene, self._about, keep, own or {}, self._fills) if wanted else None
         self._status = Status(comm, scene, state.step)
@@ -125,7 +127,7 @@ class Recorder:
                 self._log.warn(
                     "all particles have left the domain or met apertures; enlarge them, or shorten the run or its steps"
                 )
-            for remark in [*remarks, *self._plan.remarks, *self._astray(state)]:
+            for remark in [*remarks, *self._setup.remarks.warnings, *self._astray(state)]:
                 if remark not in self._warned:
                     self._warned.add(remark)
                     self._log.warn(remark)
@@ -135,21 +137,21 @@ class Recorder:
             particles_due = output.particles_every and state.step % output.particles_every == 0
             checkpoint_due = output.checkpoint_every and state.step > 0 and state.step % output.checkpoint_every == 0
             if ("particles" in self._wanted and particles_due) or ("checkpoint" in self._wanted and checkpoint_due):
-                state = kicked(state, self._plan)
+                state = synchronized(state, self._setup)
             if particles_due:
                 self._write_particles(state)
             self._write_openpmd(state)
             if checkpoint_due:
                 self._write_records(state)
                 self._write_checkpoint(state)
-            self._status.says(self._plan.notes, self._log.warned)
-            self._status.step(row, self._log.pace, self._plan.dt, self._written)
+            self._status.says(self._setup.remarks.notes, self._log.warned)
+            self._status.step(row, self._log.pace, self._setup.dt, self._written)
 
     def _note(self) -> None:
         """Say in the log what the run has chosen by itself since the latest time."""
-        for note in self._plan.notes[self._noted :]:
+        for note in self._setup.remarks.notes[self._noted :]:
             self._log.note(note)
-        self._noted = len(self._plan.notes)
+        self._noted = len(self._setup.remarks.notes)
 
     def _astray(self, state: State) -> Iterator[str]:
         """Remark once that files and pictures show a mesh that has turned along the axes of the laboratory."""
@@ -195,7 +197,7 @@ class Recorder:
 
     def _ended(self, state: str, why: str = "") -> None:
         """Say how the run ended, and write the report if it is wanted."""
-        self._status.says(self._plan.notes, self._log.warned)
+        self._status.says(self._setup.remarks.notes, self._log.warned)
         self._status.end(state, why, self._written)
         if "report" in self._wanted:
             with together(self._comm, OutputError):
@@ -209,7 +211,7 @@ class Recorder:
         return [*own, *(self._beam.series if self._beam is not None else [])]
 
     def _state_is(self, state: State) -> None:
-        self._step, self._next = state.step, state.time + state.flight
+        self._step, self._next = state.step, state.time + state.staggered.flight
 
     def _row(self, state: State) -> dict[str, float]:
         now = time.perf_counter()
@@ -233,7 +235,7 @@ class Recorder:
         }
 
     def _write_history(self, step: int, now: float) -> None:
-        solves = enumerate(self._plan.take_solves())
+        solves = enumerate(self._setup.solvers.take_reports())
         if self._residuals is not None:
             self._residuals.add(
                 *(
@@ -324,7 +326,7 @@ class Recorder:
             self._beam.sync()
         directory, output = self._scene.directory, self._scene.output
         path = checkpoint_writer.path_of(directory, state.step)
-        checkpoint_writer.write(self._comm, path, snapshot(state, self._plan), writers_of(self._scene))
+        checkpoint_writer.write(self._comm, path, snapshot(state, self._setup), writers_of(self._scene))
         checkpoint_writer.prune(self._comm, directory, output.keep, output.keep_every * output.checkpoint_every)
 
 

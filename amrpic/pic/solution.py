@@ -34,7 +34,7 @@ class Solution:
     magnetic: VectorField | None = None  # T, if there are more bins than one; without that of `images`
     before: Field | None = None  # φ of the step before on this mesh, where the next solve starts from both, V
     walls: tuple[Field, VectorField] | None = (
-        None  # φ and E of what walls hold, where those above are without: see `Plan.walls`
+        None  # φ and E of what walls hold, where those above are without: see `Solvers.walls`
     )
     images: Solution | None = None  # of the images of the charge in walls across its motion, which move against it
 

@@ -17,7 +17,7 @@ from ..particles.particles import Particles
 from ..stages.push import IN_CACHE
 from ..units import SPEED_OF_LIGHT
 from .leapfrog import felt
-from .plan import Plan
+from .setup import Setup
 from .solution import Solution
 from .state import State
 
@@ -25,16 +25,16 @@ EVERY = 16  # steps from one look at how much images act to the next
 WEAK = 1e-4  # of the charge's own force on itself, below which images in a wall left behind are given up
 
 
-def frames_with_images(state: State, plan: Plan) -> Frames:
+def frames_with_images(state: State, setup: Setup) -> Frames:
     """Return the frames of a state's field, without the wall left behind once images in it no longer count. Collective."""
     solution, particles = state.solution, state.particles
     frames, images, mirror = solution.frames, solution.images, solution.frames.mirror
     if images is None or mirror is None or not frames.leaves or (state.step + 1) % EVERY > 0:
         return frames
-    of_images, own = (rms_force(part, particles, plan.clouds) for part in (images, replace(solution, images=None)))
+    of_images, own = (rms_force(part, particles, setup.clouds) for part in (images, replace(solution, images=None)))
     if of_images >= WEAK * own:
         return frames
-    plan.remark(
+    setup.remarks.remark(
         f"images of the charge in the wall across {AXES[mirror.axis]} that the window left behind act with "
         f"{of_images / own:.1e} of the charge's own force at step {state.step}, less than {WEAK:g}, and are left out from "
         "then on"

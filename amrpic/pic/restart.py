@@ -31,7 +31,6 @@ from ..particles.species import SpeciesTable
 from ..scene.any_scene import AnyScene
 from ..scene.differences import differences
 from ..scene.domain import DomainSection
-from ..scene.motion import Leapfrog
 from ..scene.scene import Scene
 from ..scene.solver_options import SolverOptions
 from ..stages.encounters import Flights
@@ -42,14 +41,15 @@ from .adapt import follow, make_base
 from .course import Course
 from .field_functions import FieldFunction
 from .images import mirrored
+from .leapfrog import gather_and_push
 from .limits import require_room
-from .particle_fields import ParticleFields
-from .plan import Plan
+from .meshed import MeshedParticles, deposit
 from .records import Record
+from .setup import Setup, set_up
 from .solution import Solution
+from .solve import compensate_in, go_without_compensation, solve
 from .state import State
-from .step import state_of
-from .time_step import settle_time_step
+from .time_step import with_time_step
 
 FIELDS = ("rho", "phi", "efield_x", "efield_y", "efield_z")
 MAGNETIC = ("bfield_x", "bfield_y", "bfield_z")  # where parts have frames of their own
@@ -75,11 +75,12 @@ def writers_of(scene: AnyScene) -> Writers:
     return Writers(scene.output.writers, scene.output.part_bytes)
 
 
-def snapshot(state: State, plan: Plan) -> Snapshot:
+def snapshot(state: State, setup: Setup) -> Snapshot:
     """Return the whole state as a checkpoint takes it: arrays shared, not copied; of fields from Python the names."""
-    hierarchy, particles, report, scene = state.hierarchy, state.synchronized, state.report, plan.scene
+    hierarchy, particles, report, scene = state.hierarchy, state.synchronized, state.report, setup.scene
     columns = _columns(particles)
-    if state.lag > 0:  # kept as they are, since what follows from those of the state's own time differs by rounding
+    lag = state.staggered.lag_to_keep
+    if lag > 0:  # kept as they are, since what follows from those of the state's own time differs by rounding
         columns["lagging_momentum"] = state.particles.momentum
     header = Header(
         step=state.step,
@@ -93,11 +94,11 @@ def snapshot(state: State, plan: Plan) -> Snapshot:
             "report": vars(report),
             "report_of_images": None if state.solution.images is None else vars(state.solution.images.report),
             "frames": asdict(state.solution.frames),
-            "lag": state.lag,
-            "dt": plan.dt,
+            "lag": lag,
+            "dt": setup.dt,
             "course": state.course.to_dict(),
-            "fields": list(plan.fields.names),
-            "compensation_by_auto": plan.compensation_by_auto,
+            "fields": list(setup.fields.names),
+            "compensation_by_auto": setup.compensation_by_auto,
             "servers": state.particles.sorted_on(hierarchy).servers.tolist(),
             "names": {"lost": state.lost.names, "screens": state.screens.names},
         },
@@ -109,8 +110,10 @@ def snapshot(state: State, plan: Plan) -> Snapshot:
 
 def load(
     comm: MPI.Comm, path: Path, scene: Scene | None = None, fields: Sequence[FieldFunction] = ()
-) -> tuple[State, Plan]:
-    """Return the state in a checkpoint and the plan to go on with, on any number of ranks. Collective; InputError on all ranks.
+) -> tuple[State, Setup]:
+    """Return the state in a checkpoint and the set-up to go on with, on any number of ranks.
+
+    Collective; InputError on all ranks.
 
     `scene` may replace that of the checkpoint if its cuboid and boundary are the same. On another base, or with boxes of
     other sizes, the mesh is made anew by its rule, and the field solved there from the potential carried over.
@@ -135,18 +138,17 @@ def load(
     stored = Hierarchy(comm, domain, list(header.boxes[1:]), *sizes, base=header.boxes[0])
     owners = [stored.owners(level) for level in range(stored.levels)]
     held = read(comm, path, lambda _: owners, manifest)
-    plan = Plan(comm, scene, fields)
-    plan.compensation_by_auto = by_auto
+    setup = replace(set_up(comm, scene, fields), compensation_by_auto=by_auto)
     made_with = header.extra.get("fields", [])
-    for remark in _remarks(scene, header) + _remarks_on_fields(plan.fields.names, made_with):
-        plan.remark(remark)
+    for remark in _remarks(scene, header) + _remarks_on_fields(setup.fields.names, made_with):
+        setup.remarks.remark(remark)
     if _mesh_is_another(scene, header):
-        hierarchy = make_base(plan)
+        hierarchy = make_base(setup.comm, scene)
     elif manifest.ranks != comm.size:  # boxes are halved for as many ranks as wrote them
         hierarchy = Hierarchy(comm, domain, list(header.boxes[1:]), *sizes)
     else:
         hierarchy = stored
-    return _state(plan, held, stored, hierarchy), plan
+    return _state(setup, held, stored, hierarchy)
 
 
 def _mesh_of(header: Header) -> tuple[Domain, tuple[int, int]]:
@@ -162,16 +164,16 @@ def _mesh_is_another(scene: Scene, header: Header) -> bool:
     return (scene.domain.value, (refinement.max_grid_size, refinement.blocking_factor)) != _mesh_of(header)
 
 
-def _state(plan: Plan, held: Snapshot, stored: Hierarchy, hierarchy: Hierarchy) -> State:
+def _state(setup: Setup, held: Snapshot, stored: Hierarchy, hierarchy: Hierarchy) -> tuple[State, Setup]:
     extra = held.header.extra
     species, columns, lag = SpeciesTable.from_dict(extra["species"]), held.tables["particles"], extra.get("lag", 0.0)
-    if lag > 0 and isinstance(plan.scene.motion, Leapfrog):
+    if lag > 0 and setup.scene.motion.follows_fields:
         columns = {**columns, "momentum": columns["lagging_momentum"]}
     else:
         lag = 0.0
     servers = np.array(extra.get("servers", ()), dtype=np.int64)  # of the ranks that wrote the checkpoint
-    same_ranks = len(servers) == plan.comm.size + 1
-    another = _mesh_is_another(plan.scene, held.header)
+    same_ranks = len(servers) == setup.comm.size + 1
+    another = _mesh_is_another(setup.scene, held.header)
     particles, _ = migrate(_particles(columns, species), hierarchy, servers if same_ranks and not another else None)
     fields = {name: Field(stored, UNITS[name.split("_")[0]]) for name in held.fields}
     options = SolverOptions(order=held.header.about.scene["solver"].get("order", 2))
@@ -181,39 +183,41 @@ def _state(plan: Plan, held: Snapshot, stored: Hierarchy, hierarchy: Hierarchy) 
             field.array(level)[:] = values
     if hierarchy is not stored and not another:
         fields = {name: carry_over(field, hierarchy) for name, field in fields.items()}
-    course = Course.from_dict(extra["course"]) if "course" in extra else Course.of_scene(plan.scene)
-    course = course.on_base_of(plan.scene)
-    solution = _solution(plan, fields, extra)
-    known = ParticleFields(particles, hierarchy, plan, solution, solution.frames)
+    course = Course.from_dict(extra["course"]) if "course" in extra else Course.of_scene(setup.scene)
+    course = course.on_base_of(setup.scene)
+    last = _solution(setup, fields, extra)
+    beam, solution = MeshedParticles(particles, hierarchy, last.frames), last
     if another:
-        known.frames = mirrored(solution.frames, solution.frames, plan.scene, course.window)
-        known = follow(known)
-    else:
-        known.solution = solution
+        beam = replace(beam, frames=mirrored(last.frames, last.frames, setup.scene, course.window))
+        beam = follow(beam, last, setup)
+        solution = solve(beam, deposit(beam, setup), last, setup)
     lost, screens = _records(held, species, hierarchy.domain)
     given = held.header.about.scene["motion"].get("dt")
     before = extra.get("dt", given)
-    if math.isnan(plan.dt) and given == "auto":
-        plan.dt = before
-    if plan.dt != before:
-        settle_time_step(known, course)
-    return state_of(
-        plan, known.particles, known.solution, lost, screens, course, held.header.step, held.header.time, lag
-    )
+    if given == "auto" and math.isnan(setup.dt):
+        setup = replace(setup, dt=before)
+    if setup.dt != before:
+        setup = with_time_step(setup, beam, solution, course)
+    step, time = held.header.step, held.header.time
+    staggered = gather_and_push(solution, beam.particles, lag, step, time, course, setup)
+    spent = setup.clock.take()
+    return State(staggered, solution, lost, screens, course, step, time, spent=spent), setup
 
 
-def _solution(plan: Plan, fields: Mapping[str, Field], extra: Mapping[str, Any]) -> Solution:
+def _solution(setup: Setup, fields: Mapping[str, Field], extra: Mapping[str, Any]) -> Solution:
     """Return what was solved for, as a checkpoint holds it. Collective."""
     frames, images = _frames(extra), None
-    plan.say_what_is_left(frames)  # so that what the log has up to the checkpoint does not come again
+    setup.remarks.on_frames(
+        frames, setup.scene.motion
+    )  # so that what the log has up to the checkpoint does not come again
     solution = _part(fields, frames, extra["report"], OF_CHARGE)
     if frames.only is not None:
-        plan.compensate(solution.efield, solution.rho, frames.only)
+        compensate_in(frames.only, solution.efield, solution.rho, setup)
     else:
-        plan.go_without_compensation()
+        go_without_compensation(setup)
     if (reflected := frames.images) is not None:
         images = _part(fields, reflected, extra["report_of_images"], OF_IMAGES, OF_IMAGES)
-    walls = plan.walls(solution.rho.hierarchy, frames)
+    walls = setup.solvers.walls(solution.rho.hierarchy, frames, setup.clouds.covered)
     return replace(solution, before=fields.get(BEFORE), walls=walls, images=images)
 
 

@@ -18,15 +18,14 @@ from ..particles.clouds import Clouds
 from ..particles.energy_bins import Frames
 from ..particles.frame import Frame
 from ..particles.particles import Particles
-from ..scene.motion import Leapfrog
 from ..stages.deposit import deposit
 from ..stages.push import IN_CACHE
 from ..units import SPEED_OF_LIGHT, VACUUM_PERMITTIVITY, falls_short
 from .course import Course
 from .element_strengths import Strength, strength
 from .leapfrog import felt
-from .particle_fields import ParticleFields
-from .plan import Plan
+from .meshed import MeshedParticles
+from .setup import Setup
 from .solution import Solution
 
 # Steps per time: what "auto" takes, and what a step that is given should not fall below.
@@ -65,91 +64,99 @@ class Fastest:
     current_per_mass: float  # |q v| / (γ m), C m/(kg s)
 
 
-def settle_time_step(fields: ParticleFields, course: Course, own_field: bool = True) -> None:
-    """Choose the plan's time step where the scene leaves that to the run and it is not known yet, and note which rule it is.
+def with_time_step(setup: Setup, beam: MeshedParticles, solution: Solution | None, course: Course) -> Setup:
+    """Return the set-up with its time step, chosen where the scene leaves that to the run and it is not known yet.
 
-    A remark says of a step that the scene gives if it is long. The self-field is solved for, and counts, if `own_field` says
-    so. Collective; InputError on all ranks if nothing in the run has a time of its own.
+    A note says which rule it follows from, and a remark of a step that the scene gives if it is long. Without a `solution` the
+    self-field does not count. Collective; InputError on all ranks if nothing in the run has a time of its own.
     """
-    plan, motion = fields.plan, fields.plan.scene.motion
-    if not isinstance(motion, Leapfrog):
-        return
-    found = processes(fields, course, own_field)
+    motion = setup.scene.motion
+    if not motion.follows_fields:
+        return setup
+    all_ = processes(beam, solution, setup, course)
     if motion.dt != "auto":
-        _remark(plan, found, 'shorten it, or set it to "auto"')
-    elif math.isnan(plan.dt):
-        if not found:
-            raise InputError(
-                f'{plan.scene.name}: motion.dt is "auto", but no particle moves, has charge or feels an element; give a time'
-            )
-        first = min(found, key=lambda process: process.time / process.steps)
-        plan.dt = first.time / first.steps
-        if not plan.dt > 0:
-            raise InputError(
-                f'{plan.scene.name}: motion.dt is "auto", and the {first.what} is {first.time:g} s; correct the strength of '
-                "that, or give a time"
-            )
-        plan.notes.append(f"motion.dt: {plan.dt:.4g} s, {first.steps:g} steps per {first.what}")
+        _remark(setup, all_, 'shorten it, or set it to "auto"')
+    return replace(setup, dt=_longest_step(all_, setup)) if math.isnan(setup.dt) else setup
 
 
-def check_time_step(fields: ParticleFields, step: int) -> None:
-    """Remark if the plan's step has become long for charge or field at a later step, once for each kind. Collective."""
-    if isinstance(fields.plan.scene.motion, Leapfrog) and step % EVERY == 0:
+def _longest_step(all_: list[Process], setup: Setup) -> float:
+    """Return the longest time step, s, that resolves all processes, and note which of them asks for it."""
+    scene = setup.scene
+    if not all_:
+        raise InputError(
+            f'{scene.name}: motion.dt is "auto", but no particle moves, has charge or feels an element; give a time'
+        )
+    first = min(all_, key=lambda process: process.time / process.steps)
+    dt = first.time / first.steps
+    if not dt > 0:
+        raise InputError(
+            f'{scene.name}: motion.dt is "auto", and the {first.what} is {first.time:g} s; correct the strength of '
+            "that, or give a time"
+        )
+    setup.remarks.note(f"motion.dt: {dt:.4g} s, {first.steps:g} steps per {first.what}")
+    return dt
+
+
+def check_time_step(beam: MeshedParticles, solution: Solution, step: int, setup: Setup) -> None:
+    """Remark if the time step has become long for charge or field at a later step, once for each kind. Collective."""
+    if setup.scene.motion.follows_fields and step % EVERY == 0:
         remedy = "go on from an earlier checkpoint with a shorter one"
-        _remark(fields.plan, processes(fields), remedy, f" at step {step}")
+        _remark(setup, processes(beam, solution, setup), remedy, f" at step {step}")
 
 
-def _remark(plan: Plan, found: list[Process], remedy: str, when: str = "") -> None:
-    for kind in dict.fromkeys(process.kind for process in found):
-        same = (process for process in found if process.kind == kind)
-        worst = max(same, key=lambda one: one.least / one.time if one.time > 0 else math.inf)
-        if falls_short(worst.time / plan.dt, worst.least) and kind not in plan.long_for:
-            plan.long_for.add(kind)
-            plan.remark(
-                f"motion.dt of {plan.dt:.4g} s is long{when}: {worst.time / plan.dt:.3g} steps per {worst.what}, where at "
-                f"least {worst.least:.3g} are advisable; {remedy}"
+def _remark(setup: Setup, all_: list[Process], remedy: str, when: str = "") -> None:
+    for kind in dict.fromkeys(process.kind for process in all_):
+        same = (process for process in all_ if process.kind == kind)
+        worst = max(same, key=lambda process: process.least / process.time if process.time > 0 else math.inf)
+        if falls_short(worst.time / setup.dt, worst.least):
+            setup.remarks.remark(
+                f"motion.dt of {setup.dt:.4g} s is long{when}: {worst.time / setup.dt:.3g} steps per {worst.what}, where at "
+                f"least {worst.least:.3g} are advisable; {remedy}",
+                f"motion.dt, {kind}",
             )
 
 
-def processes(fields: ParticleFields, course: Course | None = None, own_field: bool = True) -> list[Process]:
+def processes(
+    beam: MeshedParticles, solution: Solution | None, setup: Setup, course: Course | None = None
+) -> list[Process]:
     """Return what goes on in a run and takes a time: what charge and own field do, and with a course motion and elements.
     Collective.
 
     Fields from Python are not looked at.
     """
-    fast = None if course is None else fastest(fields.plan.comm, fields.particles, course)
-    found = itertools.chain(
-        _of_motion(fields.plan, fast) if fast else (),
-        _of_charge(fields, own_field),
-        _of_elements(fields.plan, fast) if fast else (),
+    fast = None if course is None else fastest(setup.comm, beam.particles, course)
+    all_ = itertools.chain(
+        _of_motion(setup, fast) if fast else (),
+        _of_charge(beam, solution, setup),
+        _of_elements(setup, fast) if fast else (),
     )
-    return [process for process in found if process.time < math.inf]
+    return [process for process in all_ if process.time < math.inf]
 
 
-def _of_motion(plan: Plan, fast: Fastest) -> Iterator[Process]:
-    widths = plan.scene.domain.value.spacing / 2**plan.scene.refinement.levels
+def _of_motion(setup: Setup, fast: Fastest) -> Iterator[Process]:
+    widths = setup.scene.domain.value.spacing / 2**setup.scene.refinement.levels
     for axis, width, speed in zip(AXES, widths, fast.along, strict=True):
         what = f"passage of a particle through a cell of the finest level along {axis}"
         yield Process("cell", what, _time(width, speed), PER_CELL, LEAST_PER_CELL)
 
 
-def _of_charge(fields: ParticleFields, own_field: bool) -> Iterator[Process]:
-    clouds, hierarchy = fields.plan.clouds, fields.hierarchy
-    particles, frames = fields.frames.straight(fields.particles), replace(fields.frames, turn=None)
+def _of_charge(beam: MeshedParticles, solution: Solution | None, setup: Setup) -> Iterator[Process]:
+    clouds, hierarchy = setup.clouds, beam.hierarchy
+    particles, frames = beam.frames.straight(beam.particles), replace(beam.frames, turn=None)
     of_all, single = (law(particles, hierarchy, clouds, frames) for law in (plasma_frequency, oscillation))
     what = "plasma period" if single < 1.1 * of_all else "oscillation of a particle in the charge of all"
     period = _time(2 * math.pi, max(of_all, single))
     yield Process("plasma", what, period, PER_PLASMA_PERIOD, LEAST_PER_PLASMA_PERIOD)
-    if own_field:
-        gain, across = own_changes(particles, fields.solution, clouds)
+    if solution is not None:
+        gain, across = own_changes(particles, solution, clouds)
         for what, rate in (("gain of γ m c", gain), ("gain of m c across the motion", across)):
             what += " in the particles' own field"
             yield Process("own", what, _time(1.0, rate), PER_GAIN, LEAST_PER_GAIN)
 
 
-def _of_elements(plan: Plan, fast: Fastest) -> Iterator[Process]:
-    elements = plan.external.elements
-    strengths = from_rank_0(plan.comm, lambda: [strength(element) for element in elements], InputError)  # reads maps
+def _of_elements(setup: Setup, fast: Fastest) -> Iterator[Process]:
+    elements = setup.external.elements
+    strengths = from_rank_0(setup.comm, lambda: [strength(element) for element in elements], InputError)  # reads maps
     for number, (element, of) in enumerate(zip(elements, strengths, strict=True)):
         yield from _processes_in(of, element.name or f"elements.{number}", fast)
 

@@ -16,7 +16,6 @@ from ..io.writer_ranks import Writers, buffer_bytes, group_of
 from ..mesh.boxes import Array, cells_of, rows_of, table_of
 from ..mesh.raster import pixels_of
 from ..scene.bunches import LatticeBunch, Train
-from ..scene.motion import Leapfrog
 from ..scene.refinement_rules import CallableRule, FieldStrengthRule, every_rule
 from ..scene.scene import Scene
 
@@ -246,7 +245,7 @@ def _particle(scene: Scene) -> float:
     each = PARTICLE + (0 if _equal_weights(scene) else NUMBER)
     if scene.schedule.last_step == 0:
         return placing_bytes(scene)
-    if isinstance(scene.motion, Leapfrog):
+    if scene.motion.follows_fields:
         # before and after a step; where they are next, before and after
         return 2 * each + 4 * 3 * NUMBER
     # walked, sorted anew, and the memory that this leaves to the next arrays

@@ -82,10 +82,10 @@ $(ARM)/.packages: .venv/.packages .venv/.qemu
 
 verify: setup build/waiting.so .venv/.docs .venv/.browser .venv/.hosts  ## accuracy against exact answers, and the long tests; PUBLISH=1: into docs/reports
 	@failed=0; try() { echo "$$@"; "$$@" || failed=1; }; \
-	try mpiexec -n $(RANKS) $(BIN)/amrpic verify --output $(REPORTS); \
-	try mpiexec -n $(RANKS) $(BIN)/amrpic verify --quick --pareto examples/drift.toml --pareto examples/waist.toml --output $(REPORTS); \
-	try $(SLEEPING) $(BIN)/python -m pytest -m "long or browser" --need-browser $(ARGS); \
+	rm -f $(REPORTS)/verification.md; \
+	try $(SLEEPING) AMRPIC_REPORTS=$(CURDIR)/$(REPORTS) $(BIN)/python -m pytest -m "long or browser" --need-browser $(ARGS); \
 	try $(SLEEPING) $(BIN)/python -m pytest tests/hosts $(ARGS); \
+	try mpiexec -n $(RANKS) $(BIN)/amrpic verify --quick examples/drift.toml examples/waist.toml --output $(REPORTS); \
 	exit $$failed
 
 # For machines without a network: docs/machine.md.
@@ -94,8 +94,8 @@ bundle: .venv/.system  ## an archive that unpacks anywhere and runs, with kernel
 	@docker/card/bundle $(KIND)
 
 # What the verification compares with where a peer is needed to make it.
-impactx: setup .venv/.peers  ## ImpactX's values for amrpic verify, made anew: amrpic/verify/beam_line.json
-	$(BIN)/python benchmarks/impactx_line.py
+impactx: setup .venv/.peers  ## ImpactX's values for the verification, made anew: tests/verify/beam_line.json
+	$(BIN)/python benchmarks impactx_line
 
 setup: .venv/.system .venv/.packages .venv/.built  ## Debian packages, .venv, native build; ISA=all: for all processors, nothing twice
 	@:
@@ -180,7 +180,7 @@ gallery: .venv/.built  ## run every example, draw it, and write docs/gallery.md 
 	@touch $@
 
 bench: setup .venv/.peers  ## speed next to peers and goals, into runs/bench; ARGS=--quick: under 2 minutes
-	$(BIN)/python benchmarks/bench.py $(if $(PUBLISH),--publish) $(ARGS)
+	$(BIN)/python benchmarks bench $(if $(PUBLISH),--publish) $(ARGS)
 
 # What benchmarks run beside, as far as it can be had here: those that are not are left out of the tables, with a line.
 .venv/.peers: pyproject.toml Makefile
@@ -224,7 +224,7 @@ sanitize: setup  ## tests of the native side under sanitizers, with bounds of bo
 	exit $$failed
 
 solvers: setup  ## measure the solver's menu on 1 and 2 ranks; PUBLISH=1: into docs/reports
-	$(BIN)/python benchmarks/solvers.py --output $(REPORTS)/solvers.md $(ARGS)
+	$(BIN)/python benchmarks solvers --output $(REPORTS)/solvers.md $(ARGS)
 
 lint: build/_native.pyi  ## ruff, mypy, clang-format and the two dependency graphs
 	$(BIN)/ruff check

@@ -1,25 +1,22 @@
 """Solve on the meshes of the verification by both backends and measure how far their potentials and residuals are apart.
 
 Charge, and the potential whose residual both take, are rough, so that every row of every operator counts. A worker of
-benchmarks/bench.py.
+`bench`.
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections.abc import Callable, Iterator
 from functools import partial
-from pathlib import Path
 
 import numpy as np
-from cases import problem
-from measuring import BACKENDS, Record, timed, write
 from mpi4py import MPI
 
 import amrpic
 from amrpic.stages.poisson import PoissonSolver
-from amrpic.verify.meshes import MESHES, Mesh, around
+from cases import problem
+from exact.meshes import MESHES, Mesh, around
+from measuring import BACKENDS, Quick, Record, timed
 
 TOLERANCE = 1e-11
 BOUNDARIES = ("dirichlet", "neumann", "open")
@@ -81,21 +78,7 @@ def apart(comm: MPI.Comm, name: str, hierarchy: amrpic.Hierarchy) -> Record:
     return Record(f"agreement, {name}", seconds, cells=cells, facts=facts)
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="small meshes")
-    parser.add_argument("--output", type=Path, required=True, help="the JSON to write")
-    given = parser.parse_args()
+def run(quick: Quick = False) -> Iterator[Record]:
+    """All meshes. Collective."""
     comm = MPI.COMM_WORLD
-    records = []
-    for name, hierarchy in meshes(comm, given.quick):
-        records.append(apart(comm, name, hierarchy))
-        if comm.rank == 0:
-            print(f"{records[-1].name}: {records[-1].facts}", flush=True)
-    if comm.rank == 0:
-        write(given.output, records)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    return (apart(comm, name, hierarchy) for name, hierarchy in meshes(comm, quick))

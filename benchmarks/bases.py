@@ -1,4 +1,4 @@
-"""Time solves on bases of any extent beside those of the nearest 2^k or 3·2^k, in CPU time. A worker of benchmarks/bench.py.
+"""Time solves on bases of any extent beside those of the nearest 2^k or 3·2^k, in CPU time. A worker of `bench`.
 
 Each base is measured in a process of its own, in turns with its reference; one that takes too long is skipped, and the table
 says so.
@@ -6,21 +6,19 @@ says so.
 
 from __future__ import annotations
 
-import argparse
 import math
 import statistics
-import sys
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
-from pathlib import Path
+from typing import Annotated
 
-from cases import problem
-from measuring import Record, in_turns, launch_or_skip, timed, write
 from mpi4py import MPI
-from solving import FULL
 
 from amrpic.errors import AmrpicError
 from amrpic.stages.poisson import PoissonSolver
+from cases import problem
+from measuring import Record, Runs, in_turns, launch_or_skip, timed
+from solving import FULL
 
 BASES = (72, 81, 88, 96, 100, 120, 125, 127, 144, 160, 176, 192, 200, 250, 251)
 SMOOTH = sorted({factor << k for factor in (1, 3) for k in range(3, 10)})
@@ -59,11 +57,11 @@ def beside_name(n: int) -> str:
 
 
 def is_base(record: Record) -> bool:
-    return record.name.startswith("base, ") and ", beside" not in record.name
+    return record.keys[0] == "base" and len(record.keys) == 2
 
 
 def base_of(record: Record) -> int:
-    return int(record.name.split(", ")[1])
+    return int(record.keys[1])
 
 
 def base_ratio(records: Mapping[str, Record], record: Record) -> float:
@@ -89,31 +87,24 @@ def rows(records: Mapping[str, Record]) -> list[tuple[str, ...]]:
     return out
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--bases", type=int, nargs="+", default=list(BASES))
-    parser.add_argument("--runs", type=int, default=TURNS)
-    parser.add_argument("--limit", type=float, default=LIMIT, help="seconds for a base")
-    parser.add_argument("--alone", action="store_true", help="measure the only base given in this process")
-    parser.add_argument("--output", type=Path, required=True, help="the JSON to write")
-    given = parser.parse_args()
+def run(
+    bases: tuple[int, ...] = BASES,
+    runs: Runs = TURNS,
+    limit: Annotated[float, "seconds for a base"] = LIMIT,
+    alone: Annotated[bool, "measure the only base in this process"] = False,
+) -> Iterator[Record]:
+    """Each base, in a process of its own."""
     records: list[Record] = []
-    for n in given.bases:
-        if given.alone:
+    for n in bases:
+        if alone:
             try:
-                records += measure(n, given.runs, given.limit / 2)
+                records += measure(n, runs, limit / 2)
             except AmrpicError as refused:
-                records.append(Record(base_name(n), [math.nan], facts={"skipped": f"refused: {refused}"}))
+                records.append(Record(base_name(n), [math.nan], facts={"skipped": f"refused: {refused}", "base": n}))
             continue
-        arguments = ["--alone", "--bases", str(n), "--runs", str(given.runs), "--limit", str(given.limit)]
-        records += launch_or_skip(Path(__file__), arguments, base_name(n), given.limit)
-    if not given.alone:
-        known = {record.name: record for record in records}
-        for row in rows(known):
+        arguments = ["--alone", "--bases", str(n), "--runs", str(runs), "--limit", str(limit)]
+        records += launch_or_skip("bases", arguments, base_name(n), limit)
+    if not alone:
+        for row in rows({record.name: record for record in records}):
             print("  ".join(row), flush=True)
-    write(given.output, records)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    yield from records

@@ -7,7 +7,6 @@ is reported, not an error.
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import importlib.metadata
 import importlib.util
@@ -19,7 +18,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import bases
 import charts
@@ -27,19 +26,18 @@ import gamma
 import performance
 from goals import goals, printed, table
 from growth import laws, rows
-from measuring import BACKEND, BACKENDS, ROOT, Record, launch, share_of_core, write
+from measuring import BACKEND, ROOT, Backend, Record, launch, share_of_core, write
 
-HERE = Path(__file__).parent
 MEMORY_CASES = ("static 128", "bunch 64")
 QUIET = 0.9  # of a core, below which a run is reported as disturbed
 
 
 @dataclass(frozen=True)
 class Part:
-    """A worker: its script, on how many ranks, with which arguments."""
+    """A worker, on how many ranks, with which arguments."""
 
     name: str
-    script: str
+    script: str  # `python benchmarks SCRIPT`
     ranks: int  # 0: not under mpiexec, it starts ranks of its own
     arguments: tuple[str, ...]
     isa: str = ""  # the instruction set of the kernels, if not the best one
@@ -55,24 +53,24 @@ def parts(backend: str, quick: bool, runs: int) -> list[Part]:
     shapes = () if quick else ("nearest-grid-point", "triangular-shaped-cloud")
     memory, rank_counts, walls = (("bunch 64",), (1, 2), ()) if quick else (MEMORY_CASES, (1, 2, 3, 4), (1,))
     return [
-        *(Part("solver", "solving.py", ranks, (*options, *small)) for ranks in rank_counts),
-        *(Part("memory", "solving.py", 1, (*options, "--memory", case)) for case in memory),
-        Part("memory", "particles.py", 1, ("--memory", "--particles", "1e6")),
-        Part("peers", "peers.py", 0, (*options, *peers)),
-        Part("particles", "particles.py", 1, (*repeats, "--particles", *counts, "--shape", "cloud-in-cell")),
-        *(Part("particles", "particles.py", 1, (*repeats, "--particles", "1e6", "--shape", shape)) for shape in shapes),
-        Part("particles", "particles.py", 1, (*repeats, "--by-kokkos"), isa="v3" if "v3" in instructions() else ""),
+        *(Part("solver", "solving", ranks, (*options, *small)) for ranks in rank_counts),
+        *(Part("memory", "solving", 1, (*options, "--memory", case)) for case in memory),
+        Part("memory", "particles", 1, ("--memory", "--particles", "1e6")),
+        Part("peers", "peers", 0, (*options, *peers)),
+        Part("particles", "particles", 1, (*repeats, "--particles", *counts, "--shape", "cloud-in-cell")),
+        *(Part("particles", "particles", 1, (*repeats, "--particles", "1e6", "--shape", shape)) for shape in shapes),
+        Part("particles", "particles", 1, (*repeats, "--by-kokkos"), isa="v3" if "v3" in instructions() else ""),
         *(
-            Part("step", "pic_step.py", ranks, (*options, *(("--walls", "dirichlet") if quick else ())))
+            Part("step", "pic_step", ranks, (*options, *(("--walls", "dirichlet") if quick else ())))
             for ranks in (1, 2)
         ),
-        *(Part("walls", "walls.py", ranks, options) for ranks in walls),
-        Part("orders", "orders.py", 1, ("--cells", "64") if quick else repeats_of_gamma),
-        Part("bases", "bases.py", 0, ("--bases", "72", "100", "--runs", "3") if quick else ()),
-        *(() if quick else (Part("gamma", "gamma.py", 0, repeats_of_gamma),)),
-        Part("least squares", "least_squares.py", 1, repeats_of_gamma),
-        *(Part("points", "points.py", ranks, (*repeats_of_gamma, *small)) for ranks in (1, 2)),
-        Part("agreement", "agreement.py", 1, small),
+        *(Part("walls", "walls", ranks, options) for ranks in walls),
+        Part("orders", "orders", 1, ("--cells", "64") if quick else repeats_of_gamma),
+        Part("bases", "bases", 0, ("--bases", "72", "100", "--runs", "3") if quick else ()),
+        *(() if quick else (Part("gamma", "gamma", 0, repeats_of_gamma),)),
+        Part("least squares", "least_squares", 1, repeats_of_gamma),
+        *(Part("points", "points", ranks, (*repeats_of_gamma, *small)) for ranks in (1, 2)),
+        Part("agreement", "agreement", 1, small),
     ]
 
 
@@ -83,7 +81,7 @@ def measure(chosen: Sequence[Part]) -> tuple[list[Record], list[str]]:
     for part in chosen:
         start = time.perf_counter()
         try:
-            records += launch(HERE / part.script, part.ranks, part.arguments, isa=part.isa)
+            records += launch(part.script, part.ranks, part.arguments, isa=part.isa)
         except subprocess.CalledProcessError as ended:
             failed.append(
                 f"{part.script} {' '.join(part.arguments)} on {part.ranks} ranks ended with {ended.returncode}"
@@ -119,28 +117,28 @@ def instructions() -> str:
     return next((name for flag, name in (("avx512f", "AVX-512"), ("avx2", "AVX2")) if flag in flags), "without AVX2")
 
 
-def main() -> int:
-    names = tuple(dict.fromkeys(part.name for part in parts("", False, 1)))
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="few of the cases: under 2 minutes")
-    parser.add_argument("--backend", default=BACKEND, choices=BACKENDS, help="how the operators are executed")
-    parser.add_argument("--runs", type=int, default=5, help="runs of each measurement; it reports medians")
-    parser.add_argument("--only", nargs="+", choices=names, default=names, help="parts to run")
-    parser.add_argument(
-        "--output", type=Path, default=ROOT / "runs" / "bench", help="folder of the JSON and the charts"
-    )
-    parser.add_argument("--publish", action="store_true", help="write docs/reports/performance.md, after a whole run")
-    given = parser.parse_args()
-    if given.publish and (given.quick or len(given.only) < len(names)):
-        parser.error("only a whole run is published; leave out --quick and --only")
-    given.output.mkdir(parents=True, exist_ok=True)
-    about = {"machine": machine(), "quick": given.quick, "backend": given.backend, "runs": given.runs}
+PARTS = tuple(dict.fromkeys(part.name for part in parts("", False, 1)))
+
+
+def run(
+    quick: Annotated[bool, "few of the cases: under 2 minutes"] = False,
+    backend: Backend = BACKEND,
+    runs: Annotated[int, "of each measurement; it reports medians"] = 5,
+    only: Annotated[tuple[str, ...], "parts to run", PARTS] = PARTS,
+    output: Annotated[Path, "folder of the JSON and the charts"] = ROOT / "runs" / "bench",
+    publish: Annotated[bool, "write docs/reports/performance.md, after a whole run"] = False,
+) -> int:
+    """Run the parts, and print tables; 1 if one failed."""
+    if publish and (quick or len(only) < len(PARTS)):
+        sys.exit("only a whole run is published; leave out --quick and --only")
+    output.mkdir(parents=True, exist_ok=True)
+    about: dict[str, Any] = {"machine": machine(), "quick": quick, "backend": backend, "runs": runs}
     start = time.perf_counter()
-    chosen = [part for part in parts(given.backend, given.quick, given.runs) if part.name in given.only]
+    chosen = [part for part in parts(backend, quick, runs) if part.name in only]
     print("{processor}, {cores} cores, {instructions}, commit {commit}".format_map(about["machine"]), flush=True)
     records, failed = measure(chosen)
-    write(given.output / "bench.json", records, **about, minutes=(time.perf_counter() - start) / 60)
-    charts.draw(records, given.output)
+    write(output / "bench.json", records, **about, minutes=(time.perf_counter() - start) / 60)
+    charts.draw(records, output)
     print(printed(table(goals(records))))
     known = {record.name: record for record in records}
     for more in (bases.rows(known), gamma.rows(known)):
@@ -148,14 +146,10 @@ def main() -> int:
             print("\n" + printed(more))
     if (found := laws(records)) != []:
         print("\n" + printed(rows(found)))
-    if given.publish and not failed:
-        print(performance.write(given.output / "bench.json", ROOT / "docs" / "reports"))
+    if publish and not failed:
+        print(performance.write(output / "bench.json", ROOT / "docs" / "reports"))
     if (share := share_of_core(records)) < QUIET:
         print(f"The machine did other work: a rank had {share:.0%} of a core, so times are too long.")
     for sentence in failed:
         print(sentence, file=sys.stderr)
-    return 1 if failed else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    return int(bool(failed))

@@ -26,16 +26,16 @@ class Build:
     package: Path
     environment: dict[str, str] = field(default_factory=dict)
 
-    def run(self, script: Path, *arguments: str) -> str:
-        """Return what a Python script prints that imports `amrpic` from this build. Raises CalledProcessError.
+    def run(self, name: str, *arguments: str) -> str:
+        """Return what `python benchmarks NAME` prints that imports `amrpic` from this build. Raises CalledProcessError.
 
-        A build whose package has other folders than the present one runs the script of its own revision.
+        A build whose package has other folders than the present one runs the benchmark of its own revision.
         """
-        own = self.package.parent / "benchmarks" / script.name
+        own, script = self.package.parent / "benchmarks", [str(Path(__file__).parent), name]
         if not (self.package / "amrpic" / "stages").exists() and own.exists():
-            script = own
+            script = [str(own), name] if (own / "__main__.py").exists() else [str(own / f"{name}.py")]
         # -S: the present environment's own installation of amrpic would come first.
-        command = [sys.executable, "-S", str(script), *arguments]
+        command = [sys.executable, "-S", *script, *arguments]
         path = os.pathsep.join([str(self.package), sysconfig.get_paths()["platlib"]])
         environment = {**os.environ, "OMP_NUM_THREADS": "1", **self.environment, "PYTHONPATH": path}
         return subprocess.run(command, env=environment, check=True, stdout=subprocess.PIPE, text=True).stdout

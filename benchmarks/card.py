@@ -1,29 +1,27 @@
 """The kernels of `solver.backend = "kokkos"` on a graphics card, beside the tuned loops on one core of its machine.
 
-`python benchmarks/card.py PART`, one of `first` (the smallest solve, deposit, gather and push, compared with those of the
+`python benchmarks card PART`, one of `first` (the smallest solve, deposit, gather and push, compared with those of the
 host), `copy` (bandwidth of a copy in the card's memory) and `times` (solves and particle stages; wall time, the median of
 five). Each line is printed as soon as it is known. docker/card/run calls all of them.
 """
 
 from __future__ import annotations
 
-import argparse
 import ctypes
 import statistics
-import sys
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-from cases import Problem, problem
 from mpi4py import MPI
-from particles import BY_KOKKOS, stages
 
 import amrpic
 from amrpic import _native
 from amrpic.stages.poisson import PoissonSolver
+from cases import Problem, problem
+from particles import BY_KOKKOS, stages
 
 COPIED = 1 << 30  # bytes
 SOLVES = (("static 64", 24), ("static 64", 64), ("static 128", 64), ("uniform 256", 256))
@@ -121,16 +119,13 @@ def times() -> None:
             beside(f"{stage}, {count:.0e} particles", count, "particle", [kind[stage] for kind in kinds])
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("part", choices=("first", "copy", "times"))
-    parser.add_argument("--cells", type=int, default=16, help="of the smallest solve, along an axis")
-    given = parser.parse_args()
+def run(
+    part: Annotated[str, "what is tried", ("first", "copy", "times")],
+    cells: Annotated[int, "of the smallest solve, along an axis"] = 16,
+) -> int:
+    """Try a part; 1 if what it finds is wrong."""
     say(_native.kokkos_backend())
-    if given.part == "first":
-        sys.exit(not first(given.cells))
-    copy() if given.part == "copy" else times()
-
-
-if __name__ == "__main__":
-    main()
+    if part == "first":
+        return int(not first(cells))
+    copy() if part == "copy" else times()
+    return 0

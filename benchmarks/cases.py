@@ -1,4 +1,4 @@
-"""The cases that solvers are timed on: those of amrpic.verify.peers, one uniform mesh, and long and flat cells."""
+"""The cases that solvers are timed on: those of exact.amrex, one uniform mesh, and long and flat cells."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 from mpi4py import MPI
 
 import amrpic
-from amrpic.verify import peers
-from amrpic.verify.sources import EPS0
+from exact import amrex
+from exact.sources import EPS0
 
 Array = np.ndarray
 Function = Callable[[Array, Array, Array], Array]
@@ -57,15 +57,15 @@ def problem(comm: MPI.Comm, case: str, boxes: int) -> Problem:
     family, size = case.split()
     n = int(size)
     if family == "static":
-        source = peers.static_source()
-        hierarchy = peers.static(comm, n, boxes)
+        source = amrex.static_source()
+        hierarchy = amrex.static(comm, n, boxes)
     elif family == "bunch":
-        ten = peers.bunch_source()
-        return Problem(peers.bunch(comm, n, boxes), ten.density, Remembered(ten.potential), ten.potential)
+        ten = amrex.bunch_source()
+        return Problem(amrex.bunch(comm, n, boxes), ten.density, Remembered(ten.potential), ten.potential)
     elif family == "uniform":
         domain = amrpic.Domain((0, 0, 0), (1, 1, 1), (n,) * 3, boundary="dirichlet")
         blocking = math.gcd(n, 8) if n % 2 == 0 else 8
-        return Problem(amrpic.Hierarchy(comm, domain, (), boxes, blocking), peers.static_source().density)
+        return Problem(amrpic.Hierarchy(comm, domain, (), boxes, blocking), amrex.static_source().density)
     else:
         return stretched(comm, family, n, boxes)
     return Problem(hierarchy, source.density, Remembered(source.potential), source.potential)

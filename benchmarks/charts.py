@@ -8,13 +8,14 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
+
 from cases import FAMILIES
 from goals import Goal, goals
 from goals import figure as figure_of
 from growth import Law, laws
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter
 from measuring import Record
 from peers import peer_name
 from reference import MLMG
@@ -124,7 +125,7 @@ def stages(known: Mapping[str, Record]) -> Figure | None:
     """Return where the time of solves and of whole steps goes."""
     wanted = [name(case, 32, 1) for case in ("uniform 128", "static 64", "static 128", "bunch 64", "bunch 128")]
     shown = [known[one] for one in wanted if one in known]
-    shown += [r for r in known.values() if r.name.startswith("step, amrpic")]
+    shown += [r for r in known.values() if r.keys[:2] == ("step", "amrpic")]
     shown = [record for record in shown if record.facts.get("stages")]
     if not shown:
         return None
@@ -185,11 +186,11 @@ def finish(panel: Axes, shown: Sequence[Law]) -> None:
 
 def particles(known: Mapping[str, Record]) -> Figure | None:
     """Return ns per particle of each stage, by shape and number of particles, with AMReX's figures."""
-    mine = [record for record in known.values() if record.name.startswith("particles, ")]
+    mine = [record for record in known.values() if record.keys[0] == "particles"]
     if not mine:
         return None
-    groups = list(dict.fromkeys(record.name.split(", ", 2)[2] for record in mine))
-    kinds = list(dict.fromkeys(record.name.split(", ")[1] for record in mine))
+    groups = list(dict.fromkeys(", ".join(record.keys[2:]) for record in mine))
+    kinds = list(dict.fromkeys(record.keys[1] for record in mine))
     figure = Figure(figsize=(9, 3.6), layout="constrained")
     panel = figure.add_subplot()
     width = 0.8 / len(groups)

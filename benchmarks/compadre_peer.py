@@ -55,7 +55,3 @@ def main() -> None:
     ]
     np.savez(sys.argv[2], seconds=seconds, weights=np.array(weights))
     del found, helper, gmls, kokkos
-
-
-if __name__ == "__main__":
-    main()

@@ -1,4 +1,4 @@
-"""Tell which of two builds is faster: python benchmarks/compare.py OLD NEW [--cases ...] [--turns 11] [--minutes 30]
+"""Tell which of two builds is faster: python benchmarks compare OLD NEW [--cases ...] [--turns 11] [--minutes 30]
 
 OLD and NEW are git revisions, working trees, or folders with a built package, and may end in environment variables:
 `main HEAD`, `../other .`, `. .@AMRPIC_ISA=v3`. Each is built in a folder of its own with the same flags. The two take turns,
@@ -13,15 +13,14 @@ status is 1 if a figure became slower.
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from statistics import NormalDist, median
+from typing import Annotated
 
 import turn
 from builds import Build, build
@@ -126,13 +125,12 @@ class Case:
 
 def take_turns(old: Build, new: Build, cases: Sequence[Case], turns: int, minutes: float, threshold: float) -> None:
     """Let the builds take turns in all cases, `turns` times, and then in those that are not decided, until time is over."""
-    script = Path(turn.__file__)
     end = time.monotonic() + 60 * minutes
     done = 0
     left = list(cases)
     while left and time.monotonic() < end:
         for case in left:
-            one, other = (json.loads(side.run(script, "--case", case.name).splitlines()[-1]) for side in (old, new))
+            one, other = (json.loads(side.run("turn", "--case", case.name).splitlines()[-1]) for side in (old, new))
             case.add(one["cpu"], other["cpu"])
             if time.monotonic() > end:
                 break
@@ -155,22 +153,17 @@ def table(cases: Sequence[Case], threshold: float = THRESHOLD) -> list[tuple[str
     return rows
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("old")
-    parser.add_argument("new")
-    parser.add_argument("--cases", nargs="+", choices=list(turn.CASES), default=list(turn.CASES))
-    parser.add_argument("--turns", type=int, default=TURNS, help="of each build at least")
-    parser.add_argument("--minutes", type=float, default=MINUTES, help="after which no turn begins")
-    parser.add_argument("--threshold", type=float, default=100 * THRESHOLD, help="difference in percent that counts")
-    given = parser.parse_args(arguments)
-    cases = [Case(name) for name in given.cases]
-    threshold = given.threshold / 100
-    take_turns(build(given.old), build(given.new), cases, given.turns, given.minutes, threshold)
-    rows = table([case for case in cases if case.times], threshold)
+def run(
+    old: str,
+    new: str,
+    cases: Annotated[tuple[str, ...], "what is measured", tuple(turn.CASES)] = tuple(turn.CASES),
+    turns: Annotated[int, "of each build at least"] = TURNS,
+    minutes: Annotated[float, "after which no turn begins"] = MINUTES,
+    threshold: Annotated[float, "difference in percent that counts"] = 100 * THRESHOLD,
+) -> int:
+    """Compare, and print the table; 1 if NEW is slower."""
+    chosen = [Case(name) for name in cases]
+    take_turns(build(old), build(new), chosen, turns, minutes, threshold / 100)
+    rows = table([case for case in chosen if case.times], threshold / 100)
     print(printed(rows))
-    return 1 if any(row[-1].startswith("slower") for row in rows) else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    return int(any(row[-1].startswith("slower") for row in rows))

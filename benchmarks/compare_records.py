@@ -1,6 +1,6 @@
-"""Compare two runs of `make bench` that were recorded: python benchmarks/compare_records.py BEFORE.json AFTER.json
+"""Compare two runs of `make bench` that were recorded: python benchmarks compare_records BEFORE.json AFTER.json
 
-They were made at different times, so differences below a tenth are not decided; benchmarks/compare.py, which runs two builds
+They were made at different times, so differences below a tenth are not decided; `compare`, which runs two builds
 in turns, decides 3 %.
 
 What was timed beside a work unit in both is compared in work units, so that a slower machine is not slower code; the rest
@@ -11,13 +11,12 @@ cycles, or more memory beyond the threshold, count as slower. The exit status is
 
 from __future__ import annotations
 
-import argparse
 import math
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
+from typing import Annotated
 
 from goals import figure, printed
 from measuring import Record, read
@@ -101,22 +100,18 @@ def table_rows(found: Sequence[Change], threshold: float, everything: bool = Fal
     return rows
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("before", type=Path)
-    parser.add_argument("after", type=Path)
-    parser.add_argument("--threshold", type=float, default=THRESHOLD, help="relative change that counts")
-    parser.add_argument("--all", action="store_true", help="show what is as before, too")
-    given = parser.parse_args(arguments)
-    before, after = read(given.before), read(given.after)
-    found = changes(before, after)
-    print(printed(table_rows(found, given.threshold, given.all)))
-    slower = sum(change.verdict(given.threshold) == "slower" for change in found)
-    faster = sum(change.verdict(given.threshold) == "faster" for change in found)
-    alone = len({record.name for record in before} ^ {record.name for record in after})
+def run(
+    before: Path,
+    after: Path,
+    threshold: Annotated[float, "relative change that counts"] = THRESHOLD,
+    all: Annotated[bool, "show what is as before, too"] = False,
+) -> int:
+    """Compare, and print the table; 1 if something is slower."""
+    olds, news = read(before), read(after)
+    found = changes(olds, news)
+    print(printed(table_rows(found, threshold, all)))
+    slower = sum(change.verdict(threshold) == "slower" for change in found)
+    faster = sum(change.verdict(threshold) == "faster" for change in found)
+    alone = len({record.name for record in olds} ^ {record.name for record in news})
     print(f"{slower} slower, {faster} faster, {len(found) - slower - faster} as before; {alone} in one run only")
-    return 1 if slower else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    return int(slower > 0)

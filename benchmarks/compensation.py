@@ -1,4 +1,4 @@
-"""What compensated clouds take of a step: `python benchmarks/compensation.py`, on one rank.
+"""What compensated clouds take of a step: `python benchmarks compensation`, on one rank.
 
 The step is one of leapfrog with the bunches and the mesh of examples/three_bunches.toml, from the same state each time. The
 choices take turns. The least of the turns counts, since what disturbs a run can only make it longer.
@@ -6,20 +6,17 @@ choices take turns. The least of the turns counts, since what disturbs a run can
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections.abc import Iterator
 from functools import partial
-from pathlib import Path
-from typing import get_args
+from typing import Annotated, get_args
 
-from measuring import CPU_TIME, ROOT, Record, timed, write
 from mpi4py import MPI
 
 from amrpic.particles.clouds import SHAPES, CompensationKind, Shape
 from amrpic.pic.state import State
 from amrpic.pic.step import advance, begin
 from amrpic.scene.scene import Scene
+from measuring import CPU_TIME, ROOT, Record, timed
 
 KINDS: tuple[CompensationKind, ...] = get_args(CompensationKind)
 CELLS = 144  # of the base along an axis, as in the example
@@ -73,20 +70,11 @@ def told(shape: Shape, particles: int, runs: int) -> list[Record]:
     return found
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=9, help="turns of each")
-    parser.add_argument("--particles", type=float, default=1e6, help="of each of the three bunches")
-    parser.add_argument(
-        "--shape", nargs="+", choices=list(SHAPES), default=["cloud-in-cell", "triangular-shaped-cloud"]
-    )
-    parser.add_argument("--output", type=Path, help="the JSON to write")
-    given = parser.parse_args()
-    records = [record for shape in given.shape for record in told(shape, int(given.particles), given.runs)]
-    if given.output is not None:
-        write(given.output, records)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+def run(
+    runs: Annotated[int, "turns of each"] = 9,
+    particles: Annotated[float, "of each of the three bunches"] = 1e6,
+    shape: Annotated[tuple[Shape, ...], "of clouds", SHAPES] = ("cloud-in-cell", "triangular-shaped-cloud"),
+) -> Iterator[Record]:
+    """Steps with each kind of compensation, and a line for each."""
+    for one in shape:
+        yield from told(one, int(particles), runs)

@@ -1,4 +1,4 @@
-"""Compare what `amrpic preview` foresees with what runs take: `python benchmarks/forecasts.py [SCENE ...] [--ranks 1 2]`.
+"""Compare what `amrpic preview` foresees with what runs take: `python benchmarks forecasts [SCENE ...] [--ranks 1 2]`.
 
 Each scene is forecast in five seconds, as the preview does, and run in a process of its own, as by `amrpic run`, to its end
 or for the first `--steps`. Without a scene all examples are taken. The machine must be quiet. Exit status 1: a goal is missed.
@@ -14,8 +14,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from goals import Goal
-from measuring import ROOT, Record, launch, write
 from mpi4py import MPI
 
 import amrpic
@@ -24,6 +22,8 @@ from amrpic.commands.text_table import columns
 from amrpic.pic.forecast import forecast
 from amrpic.pic.initial_particles import make_bunches
 from amrpic.scene.any_scene import read_data
+from goals import Goal
+from measuring import ROOT, Record, launch, write
 
 TRIED = 5.0  # s of trials, as the preview takes by default
 FACTOR = 1.5  # by which a forecast may be off
@@ -61,7 +61,7 @@ def factor(ratio: float) -> float:
 def compare(path: Path, ranks: int, steps: int | None = None) -> Compared:
     """Forecast a scene and run it, one after the other, on ranks started for that. Raises CalledProcessError."""
     most = [] if steps is None else ["--steps", str(steps)]
-    found, run = (launch(Path(__file__), ranks, [str(path), "--work", work, *most])[0] for work in (FORESEEN, TAKEN))
+    found, run = (launch("forecasts", ranks, [str(path), "--work", work, *most])[0] for work in (FORESEEN, TAKEN))
     pairs = [(start, step) for start, step in (found.seconds, run.seconds)]
     return Compared(path.stem, ranks, run.facts["steps"], found.facts["source"], *pairs)
 
@@ -148,7 +148,3 @@ def main() -> None:
     for goal in missed:
         print(f"{goal.what}: off by a factor of {goal.measured:.3g}, {goal.bound(goal.must)}: missed")
     raise SystemExit(1 if missed else 0)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,4 +1,4 @@
-"""Time solves in the rest frame of fast bunches, on cells γ times as long, beside cubes on the same mesh. A worker of bench.py.
+"""Time solves in the rest frame of fast bunches, on cells γ times as long, beside cubes on the same mesh. A worker of `bench`.
 
 64³ cells and one refined level of most of the domain, or three nested ones; grounded and open walls; boxes of several sizes.
 Each is measured in a process of its own, for its memory; one that takes too long, or fails, is skipped, and the table says so.
@@ -6,24 +6,21 @@ Each is measured in a process of its own, for its memory; one that takes too lon
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import math
 import statistics
-import sys
 from collections.abc import Iterator, Mapping
 from functools import partial
-from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-from measuring import Record, in_turns, launch_or_skip, reset_peak, resident, timed, write
 from mpi4py import MPI
-from solving import FULL
 
 import amrpic
 from amrpic.stages.poisson import PoissonSolver
-from amrpic.verify.sources import EPS0
+from exact.sources import EPS0
+from measuring import Record, Runs, in_turns, launch_or_skip, reset_peak, resident, timed
+from solving import FULL
 
 GAMMAS = (10, 20, 50, 100)
 MESHES = {  # levels beyond the base, by the first and the last cell along each axis
@@ -101,9 +98,9 @@ def rows(records: Mapping[str, Record]) -> list[tuple[str, ...]]:
         ("γ", "mesh", "walls", "boxes", "cycles", "of cubes", "time over that of cubes", "memory beyond φ and ρ")
     ]
     for record in records.values():
-        if not record.name.startswith("gamma, ") or record.name.endswith(CUBES):
+        if record.keys[0] != "gamma" or record.name.endswith(CUBES):
             continue
-        case = tuple(record.name.removeprefix("gamma, ").replace("boxes ", "").split(", "))
+        case = (*record.keys[1:4], record.keys[4].removeprefix("boxes "))
         if record.skipped:
             out.append((*case, "–", "–", record.skipped, "–"))
             continue
@@ -117,31 +114,25 @@ def rows(records: Mapping[str, Record]) -> list[tuple[str, ...]]:
     return out
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--gammas", type=float, nargs="+", default=list(GAMMAS))
-    parser.add_argument("--meshes", nargs="+", choices=list(MESHES), default=list(MESHES))
-    parser.add_argument("--walls", nargs="+", choices=WALLS, default=list(WALLS))
-    parser.add_argument("--boxes", type=int, nargs="+", default=list(BOXES))
-    parser.add_argument("--runs", type=int, default=5)
-    parser.add_argument("--limit", type=float, default=LIMIT, help="seconds for a case")
-    parser.add_argument("--alone", action="store_true", help="measure the only case given in this process")
-    parser.add_argument("--output", type=Path, required=True, help="the JSON to write")
-    given = parser.parse_args()
+def run(
+    gammas: tuple[float, ...] = GAMMAS,
+    meshes: Annotated[tuple[str, ...], "kinds", MESHES] = tuple(MESHES),
+    walls: Annotated[tuple[str, ...], "kinds", WALLS] = WALLS,
+    boxes: tuple[int, ...] = BOXES,
+    runs: Runs = 5,
+    limit: Annotated[float, "seconds for a case"] = LIMIT,
+    alone: Annotated[bool, "measure the only case in this process"] = False,
+) -> Iterator[Record]:
+    """Each case, in a process of its own."""
     records: list[Record] = []
-    for case in itertools.product(given.gammas, given.meshes, given.walls, given.boxes):
-        if given.alone:
-            records += measure(*case, given.runs, given.limit / 3)
+    for case in itertools.product(gammas, meshes, walls, boxes):
+        if alone:
+            records += measure(*case, runs, limit / 3)
             continue
         options = zip(("--gammas", "--meshes", "--walls", "--boxes"), map(str, case), strict=True)
-        arguments = ["--alone", *itertools.chain(*options), "--runs", str(given.runs), "--limit", str(given.limit)]
-        records += launch_or_skip(Path(__file__), arguments, gamma_name(*case), given.limit)
-    if not given.alone:
+        arguments = ["--alone", *itertools.chain(*options), "--runs", str(runs), "--limit", str(limit)]
+        records += launch_or_skip("gamma", arguments, gamma_name(*case), limit)
+    if not alone:
         for row in rows({record.name: record for record in records}):
             print("  ".join(row), flush=True)
-    write(given.output, records)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    yield from records

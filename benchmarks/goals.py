@@ -97,8 +97,8 @@ class Found:
             return median(a / b for a, b in zip(one.seconds, two.seconds, strict=True))
         return one.median / two.median
 
-    def starting(self, beginning: str) -> list[Record]:
-        return [record for name, record in self.records.items() if name.startswith(beginning)]
+    def of(self, what: str) -> list[Record]:
+        return [record for record in self.records.values() if record.keys[0] == what]
 
 
 def goals(records: Sequence[Record]) -> list[Goal]:
@@ -244,7 +244,7 @@ def any_base(found: Found) -> Iterator[Goal]:
 
 
 def long_cells(found: Found) -> Iterator[Goal]:
-    mine = {record.name: record for record in found.starting("gamma, ") if not record.name.endswith(CUBES)}
+    mine = {record.name: record for record in found.of("gamma") if not record.name.endswith(CUBES)}
     ratios = {what.removeprefix("gamma, "): gamma_ratio(found.records, record) for what, record in mine.items()}
     yield worst("γ of 10 to 100: time per cell over that of cubes", ratios, 2.0, 1.6)
     memory = {what.removeprefix("gamma, "): memory_ratio(record) for what, record in mine.items()}
@@ -283,11 +283,11 @@ def shapes(found: Found) -> Iterator[Goal]:
 
 
 def memory(found: Found) -> Iterator[Goal]:
-    for record in found.starting("memory, "):
+    for record in found.of("memory"):
         if not record.cells:
             continue
         peak = float(record.facts["bytes per cell, peak"])
-        yield Goal(f"{record.name.split(', ')[1]}: memory of the solver beyond φ and ρ", peak, 40, 15, " B/cell")
+        yield Goal(f"{record.keys[1]}: memory of the solver beyond φ and ρ", peak, 40, 15, " B/cell")
 
 
 def setup(found: Found) -> Iterator[Goal]:
@@ -338,7 +338,7 @@ def step(found: Found) -> Iterator[Goal]:
 
 
 def backends(found: Found) -> Iterator[Goal]:
-    compared = [record for record in found.starting("agreement, ") if len(record.facts["backends"]) > 1]
+    compared = [record for record in found.of("agreement") if len(record.facts["backends"]) > 1]
     worst = max((float(record.facts["difference"]) for record in compared), default=NAN)
     if not all(record.facts["converged"] for record in compared):
         worst = math.inf

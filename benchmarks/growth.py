@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+
 from goals import figure
 from measuring import Record
 from particles import STAGES, record_name

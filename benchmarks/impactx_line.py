@@ -1,4 +1,4 @@
-"""Take the bunch of amrpic.verify.beam_line through its cell with ImpactX, and write what `amrpic verify` compares with.
+"""Take the bunch of verify.beam_line through its cell with ImpactX, and write what the verification compares with.
 
 ImpactX is sequential, from PyPI's `impactx-noacc`: exact maps of drifts, quadrupoles and sector dipoles, its linear map of
 solenoids, kicks by space charge between them, from the field of FFT with integrated Green functions on a mesh that is fitted to
@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 import tempfile
 from importlib.metadata import version
 from pathlib import Path
@@ -22,8 +21,8 @@ from mpi4py import MPI
 from amrpic.pic.initial_particles import make_particles
 from amrpic.scene.scene import Scene
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE, SPEED_OF_LIGHT
-from amrpic.verify import beam_line
-from amrpic.verify.beam_line import BETA, BETA_GAMMA, CELL, CHARGES, Piece
+from verify import beam_line
+from verify.beam_line import BETA, BETA_GAMMA, CELL, CHARGES, Piece
 
 CELLS, SLICE = 96, 2e-2  # along an axis; m, about
 ERROR = 3e-3  # relative
@@ -112,7 +111,3 @@ def main() -> int:
             found[name] = {what: [float(f"{value:.6g}") for value in column] for what, column in values.items()}
     output.write_text(json.dumps(found, separators=(",", ":")) + "\n", encoding="utf-8")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,4 +1,4 @@
-"""Time ImpactX's steps with space charge: a ball of charge in free flight, one refined level. A worker of pic_step.py.
+"""Time ImpactX's steps with space charge: a ball of charge in free flight, one refined level. A worker of `pic_step`.
 
 It is sequential, from PyPI's `impactx-noacc`. Each step: half a drift, transformation to the frame of the bunch, boxes fitted
 to it, redistribution, deposition, the solve (AMReX's multigrid, level by level), the field, gather and kick, half a drift.
@@ -6,13 +6,12 @@ to it, redistribution, deposition, the solve (AMReX's multigrid, level by level)
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
-import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import Annotated
 
 from impactx import ImpactX, distribution, elements
 
@@ -54,23 +53,18 @@ def steps(cells: int, particles: int, runs: int, each: int, solver: str, toleran
     return taken[1:]
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cells", type=int, default=64)
-    parser.add_argument("--particles", type=int, default=1_000_000)
-    parser.add_argument("--runs", type=int, default=5)
-    parser.add_argument("--each", type=int, default=4, help="steps of a run")
-    parser.add_argument("--solver", choices=["multigrid", "fft"], default="multigrid")
-    parser.add_argument("--tolerance", type=float, default=1e-7, help="of a solve")
-    parser.add_argument("--output", type=Path, required=True)
-    given = parser.parse_args()
-    output = given.output.resolve()
+def run(
+    output: Annotated[Path, "the JSON to write"],
+    cells: int = 64,
+    particles: int = 1_000_000,
+    runs: int = 5,
+    each: Annotated[int, "steps of a run"] = 4,
+    solver: Annotated[str, "of Poisson's equation", ("multigrid", "fft")] = "multigrid",
+    tolerance: Annotated[float, "of a solve"] = 1e-7,
+) -> None:
+    """Time steps, and write their seconds."""
+    output = output.resolve()
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)  # it writes into the present directory
-        taken = steps(given.cells, given.particles, given.runs, given.each, given.solver, given.tolerance)
+        taken = steps(cells, particles, runs, each, solver, tolerance)
     output.write_text(json.dumps(taken), encoding="utf-8")
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

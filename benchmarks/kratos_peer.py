@@ -1,4 +1,4 @@
-"""A load step of Kratos's material points, a peer of amrpic.mpm that may not be there. A worker of points.py.
+"""A load step of Kratos's material points, a peer of amrpic.mpm that may not be there. A worker of `points`.
 
 A block of degree 1 between walls without friction under its own weight, its top free: points at Gauss's places with their
 volumes as weights. Kratos runs in a process of its own, on one thread.

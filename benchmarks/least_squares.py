@@ -1,4 +1,4 @@
-"""Time stencils of moving least squares beside LAPACK's dgels, one call per target. A worker of bench.py.
+"""Time stencils of moving least squares beside LAPACK's dgels, one call per target. A worker of `bench`.
 
 Value, gradient and Laplacian at all points of a jittered 22³ lattice (±0.25 h), and of the lattice itself, reach 1.4 times the
 distance of the n-th point, weight (1 - r)²; thread time, tests and repairs included, the search for neighbours not; and the
@@ -9,25 +9,23 @@ fields carried to another base, per new cell, and sampled along a line, per poin
 
 from __future__ import annotations
 
-import argparse
 import ctypes
 import ctypes.util
 import importlib.util
 import os
 import subprocess
-import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
-from measuring import ENVIRONMENT, Record, reset_peak, resident, write
 from mpi4py import MPI
 
 import amrpic
 from amrpic import gmls
 from amrpic.gmls import problem
+from measuring import ENVIRONMENT, RUNNER, Record, Runs, reset_peak, resident
 
 POINTS = 22  # per axis
 ORDERS = (2, 3, 4)
@@ -161,7 +159,7 @@ def compadre(order: int, runs: int) -> Record:
         np.savez(
             given, x=x, start=near.start, index=near.index, reach=near.reach, order=order, runs=runs, targets=targets
         )
-        worker = [sys.executable, str(Path(__file__).parent / "compadre_peer.py"), str(given), str(written)]
+        worker = [*RUNNER, "compadre_peer", str(given), str(written)]
         subprocess.run(worker, check=True, env={**os.environ, **ENVIRONMENT}, stderr=subprocess.DEVNULL)
         found = np.load(written)
         seconds, theirs = found["seconds"] / len(x), found["weights"]
@@ -178,28 +176,21 @@ def record_name(order: int, kind: str) -> str:
     return f"least squares, order {order}, {kind}"
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=5, help="runs of each")
-    parser.add_argument("--output", type=Path, help="the JSON to write")
-    given = parser.parse_args()
+def run(runs: Runs = 5) -> Iterator[Record]:
+    """All orders, beside LAPACK and pycompadre."""
     records = []
     for order in ORDERS:
-        records += [ours(order, "jittered", given.runs), ours(order, "lattice", given.runs), lapack(order, given.runs)]
-        records += [compadre(order, given.runs)]
-    records += [leaves(given.runs, 96), *between_meshes(given.runs, 32)]
+        records += [
+            ours(order, "jittered", runs),
+            ours(order, "lattice", runs),
+            lapack(order, runs),
+            compadre(order, runs),
+        ]
+    records += [leaves(runs, 96), *between_meshes(runs, 32)]
     records = [record for record in records if record.seconds]
-    for record in records:
-        print(f"{record.name}: {1e6 * record.median:.3g} µs per target", flush=True)
     if importlib.util.find_spec("pycompadre") is None:
         print("pycompadre is not installed: it is left out")
     from goals import Found, printed, stencils, table  # which imports this module
 
     print(printed(table(list(stencils(Found(records))))))
-    if given.output is not None:
-        write(given.output, records)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    yield from records

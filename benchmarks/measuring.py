@@ -16,19 +16,25 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, get_args
+from typing import Annotated, Any, get_args
 
 import numpy as np
 from mpi4py import MPI
-from sine import Yardstick
 
 from amrpic import _native
 from amrpic.scene import solver_options
+from sine import Yardstick
 
 ROOT = Path(__file__).parents[1]
+RUNNER = [sys.executable, str(ROOT / "benchmarks")]  # followed by the name of what is measured
 BACKENDS = get_args(solver_options.Backend)
 BACKEND: str = solver_options.SolverOptions().backend
 CORE = "share of a core"
+Backend = Annotated[
+    str, "how the operators are executed", BACKENDS
+]  # options of what is measured, as __main__ reads them
+Runs = Annotated[int, "runs of each"]
+Quick = Annotated[bool, "few and small cases"]
 ENVIRONMENT = {
     "OMPI_ALLOW_RUN_AS_ROOT": "1",
     "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
@@ -68,7 +74,7 @@ def work_unit(comm: MPI.Comm, cells: int) -> WorkUnit:
 
 @dataclass
 class Record:
-    """Something that was timed several times. `name` tells it from all others: what, case, and what was varied."""
+    """Something that was timed several times. `name` tells it from all others: keys, as what, case, and what was varied."""
 
     name: str
     seconds: list[float]  # of each run, of the slowest rank
@@ -81,6 +87,11 @@ class Record:
     dst: list[float] = field(
         default_factory=list
     )  # s per cell of the sine transform on 128³ cells, in turns with the runs
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """What its name is made of."""
+        return tuple(self.name.split(", "))
 
     @property
     def median(self) -> float:
@@ -101,6 +112,16 @@ class Record:
     def skipped(self) -> str:
         """Why it was not measured; empty if it was."""
         return str(self.facts.get("skipped", ""))
+
+
+def printed(record: Record) -> str:
+    """A line about a record."""
+    if record.skipped or not record.seconds:
+        return f"{record.name}: {record.skipped or 'left out'}"
+    units = f", {record.units:.0f} work units" if record.unit else ""
+    over_dst = f", {record.over_dst:.2f} DST" if record.dst else ""
+    facts = "".join(f", {what} {value:.4g}" for what, value in record.facts.items() if isinstance(value, int | float))
+    return f"{record.name}: {record.median:.4g} s{units}{over_dst}{facts}"
 
 
 # For ratios on one rank: wall time counts how long a rank waits for its core where others use it as well.
@@ -192,30 +213,28 @@ def reset_peak() -> None:
     Path("/proc/self/clear_refs").write_text("5")
 
 
-def launch(
-    script: Path, ranks: int, arguments: Sequence[str], limit: float | None = None, isa: str = ""
-) -> list[Record]:
-    """Return the records that a script writes, run on so many ranks with `arguments` and `--output FILE`.
+def launch(name: str, ranks: int, arguments: Sequence[str], limit: float | None = None, isa: str = "") -> list[Record]:
+    """Return the records that `python benchmarks NAME` writes, run on so many ranks with `arguments` and `--output FILE`.
 
     `isa`: the instruction set of its kernels, if not the best one.
 
-    A script that starts ranks of its own cannot be under mpiexec; it is run by itself for `ranks` = 0.
-    Raises CalledProcessError if it fails; what it prints is seen. A script by itself is killed after `limit` seconds, with
+    One that starts ranks of its own cannot be under mpiexec; it is run by itself for `ranks` = 0.
+    Raises CalledProcessError if it fails; what it prints is seen. One by itself is killed after `limit` seconds, with
     TimeoutExpired.
     """
     with tempfile.TemporaryDirectory() as folder:
         found = Path(folder) / "records.json"
-        worker = [sys.executable, str(script), *arguments, "--output", str(found)]
+        worker = [*RUNNER, name, *arguments, "--output", str(found)]
         command = ["mpiexec", "-n", str(ranks), *worker] if ranks else worker
         chosen = {"AMRPIC_ISA": isa} if isa else {}
         subprocess.run(command, env={**os.environ, **ENVIRONMENT, **chosen}, check=True, timeout=limit)
         return read(found)
 
 
-def launch_or_skip(script: Path, arguments: Sequence[str], name: str, limit: float) -> list[Record]:
-    """Return the records that a script on one rank writes; one under `name` that says why, if it fails or takes too long."""
+def launch_or_skip(worker: str, arguments: Sequence[str], name: str, limit: float) -> list[Record]:
+    """Return the records that a worker on one rank writes; one under `name` that says why, if it fails or takes too long."""
     try:
-        return launch(script, 0, arguments, limit)
+        return launch(worker, 0, arguments, limit)
     except subprocess.TimeoutExpired:
         why = f"not done within {limit:.0f} s"
     except subprocess.CalledProcessError as ended:

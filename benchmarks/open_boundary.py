@@ -1,4 +1,4 @@
-"""What the open boundary of an example costs, stage by stage: `python benchmarks/open_boundary.py --base 144`.
+"""What the open boundary of an example costs, stage by stage: `python benchmarks open_boundary --base 144`.
 
 Also under mpiexec. `measure` is the interface; it makes the mesh and the charge of a scene as a run does at its start, and
 solves nothing. Its stages are `plan` (who does what, once per mesh) and `total` (the potential at all ghosts, in each
@@ -7,12 +7,11 @@ solve). A work unit is one 7-point apply on as many cells as the hierarchy has, 
 
 from __future__ import annotations
 
-import argparse
 import json
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from mpi4py import MPI
 
@@ -85,18 +84,13 @@ def slowest(comm: MPI.Comm, work: Callable[[], Any]) -> float:
     return comm.allreduce(time.perf_counter() - start, op=MPI.MAX)
 
 
-def main() -> None:
-    """Measure what the arguments ask for; rank 0 prints it as JSON."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--base", type=int, default=144, help="cells of the base along each axis")
-    parser.add_argument("--example", default="ten_bunches", help="a scene of examples/")
-    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change a value of the scene")
-    parser.add_argument("--repeats", type=int, default=5)
-    args = parser.parse_args()
-    found = measure(args.base, args.example, tuple(args.set), args.repeats)
+def run(
+    base: Annotated[int, "cells of the base along each axis"] = 144,
+    example: Annotated[str, "a scene of examples/"] = "ten_bunches",
+    set: Annotated[tuple[str, ...], "KEY=VALUE of the scene"] = (),
+    repeats: int = 5,
+) -> None:
+    """Measure and print, as JSON. Collective."""
+    found = measure(base, example, set, repeats)
     if MPI.COMM_WORLD.rank == 0:
         print(json.dumps(found, indent=2))
-
-
-if __name__ == "__main__":
-    main()

@@ -1,22 +1,21 @@
-"""What order 4 takes of time and memory beside order 2: `python benchmarks/orders.py`. A worker of bench.py."""
+"""What order 4 takes of time and memory beside order 2: `python benchmarks orders`. A worker of `bench`."""
 
 from __future__ import annotations
 
-import argparse
-import sys
+import itertools
 from collections.abc import Iterator
 from functools import partial
-from pathlib import Path
+from typing import Annotated
 
-from cases import Remembered
-from measuring import Record, in_turns, reset_peak, resident, write
 from mpi4py import MPI
 
 import amrpic
 from amrpic.mesh.field import Holds
 from amrpic.stages.poisson import PoissonSolver
-from amrpic.verify import peers
-from amrpic.verify.sources import fill
+from cases import Remembered
+from exact import amrex
+from exact.sources import fill
+from measuring import Record, Runs, in_turns, reset_peak, resident
 
 CASES = (64, 128)
 WALLS = ("dirichlet", "open")
@@ -33,8 +32,8 @@ def name(cells: int, walls: str, density: str) -> str:
 
 def beside(cells: int, walls: str, runs: int) -> Iterator[Record]:
     """Yield solves of static from zero, in turns, in CPU time, with the bytes per cell that each takes beyond ρ and φ."""
-    hierarchy = peers.static(MPI.COMM_SELF, cells, walls=walls)
-    source = peers.static_source()
+    hierarchy = amrex.static(MPI.COMM_SELF, cells, walls=walls)
+    source = amrex.static_source()
     values = Remembered(source.potential)
     count = sum(hierarchy.cells(level) for level in range(hierarchy.levels))
     works, facts = [], []
@@ -52,28 +51,14 @@ def beside(cells: int, walls: str, runs: int) -> Iterator[Record]:
         yield Record(name(cells, walls, density), seconds, cells=count, facts=known)
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=5, help="runs of each")
-    parser.add_argument("--cells", type=int, nargs="+", default=CASES, help="base cells along an axis")
-    parser.add_argument("--output", type=Path, help="the JSON to write")
-    given = parser.parse_args()
-    records: list[Record] = []
-    for cells in given.cells:
-        for walls in WALLS:
-            found = list(beside(cells, walls, given.runs))
-            for record in found:
-                stages = ", ".join(f"{stage} {seconds:.3f}" for stage, seconds in record.facts["stages"].items())
-                print(
-                    f"{record.name}: {record.median:.3f} s, {record.median / found[0].median:.2f} of order 2's, "
-                    f"{record.facts['cycles']} cycles, {record.facts['bytes per cell']:.1f} B per cell; {stages}",
-                    flush=True,
-                )
-            records += found
-    if given.output is not None:
-        write(given.output, records)
-    return 0
+def run(runs: Runs = 5, cells: Annotated[tuple[int, ...], "base cells along an axis"] = CASES) -> Iterator[Record]:
+    """All cases."""
+    for count, walls in itertools.product(cells, WALLS):
+        yield from beside(count, walls, runs)
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def printed(record: Record) -> str:
+    facts = record.facts
+    stages = ", ".join(f"{stage} {seconds:.3f}" for stage, seconds in facts["stages"].items())
+    each = f"{facts['bytes per cell']:.1f} B per cell"
+    return f"{record.name}: {record.median:.3f} s, {facts['cycles']} cycles, {each}; {stages}"

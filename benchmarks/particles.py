@@ -1,20 +1,16 @@
-"""Time of the particle stages on one uniform level: `python benchmarks/particles.py`."""
+"""Time of the particle stages on one uniform level: `python benchmarks particles`."""
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import importlib.util
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from statistics import median
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
-from measuring import Record, in_turns, reset_peak, resident, watched, work_unit, write
 from mpi4py import MPI
-from plain_particles import PlainStages
 
 import amrpic
 from amrpic.mesh.field import VectorField
@@ -28,6 +24,8 @@ from amrpic.stages.diagnostics import moments
 from amrpic.stages.gather import gather
 from amrpic.stages.migrate import migrate
 from amrpic.stages.push import push
+from measuring import Record, Runs, in_turns, reset_peak, resident, watched, work_unit
+from plain_particles import PlainStages
 
 Result = TypeVar("Result")
 ELECTRON = SpeciesTable((SPECIES["electron"],))
@@ -77,7 +75,7 @@ def plain_stages(particles: int, cells: int, box: int) -> PlainStages:
     )
 
 
-def by_kokkos(particles: int, cells: int, box: int, repeats: int) -> Iterator[Record]:
+def beside_kokkos(particles: int, cells: int, box: int, repeats: int) -> Iterator[Record]:
     """Yield what Kokkos' kernels take and the loops over vectors, in turns with each other, in CPU time."""
     kinds = {kernels: stages(particles, cells, box, kernels=kernels) for kernels in ("kokkos", "vectors")}
     for stage in BY_KOKKOS:
@@ -141,7 +139,7 @@ def _stages_with_magnetic_fields(
     }
 
 
-def memory(particles: int, cells: int, box: int) -> Record:
+def memory_of(particles: int, cells: int, box: int) -> Record:
     """Return what particles take, and what migrating them takes at its peak, in bytes each. For a process of its own."""
     domain = amrpic.Domain((0, 0, 0), (1, 1, 1), (cells, cells, cells), "periodic")
     hierarchy = amrpic.Hierarchy(MPI.COMM_SELF, domain, max_grid_size=box)
@@ -181,43 +179,37 @@ def _seconds(stage: Callable[[], Result], repeats: int) -> list[float]:
     return taken[1:]
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--particles", type=float, nargs="+", default=[1e6, 1e7])
-    parser.add_argument("--cells", type=int, default=128, help="along each axis")
-    parser.add_argument("--box", type=int, default=32, help="cells along each axis of a box")
-    parser.add_argument("--shape", nargs="+", choices=list(SHAPES), default=list(SHAPES))
-    parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument("--output", type=Path, help="write the records as JSON here")
-    parser.add_argument(
-        "--memory", action="store_true", help="measure the memory of the first number of particles alone"
-    )
-    parser.add_argument(
-        "--by-kokkos", action="store_true", help="compare Kokkos' kernels with the loops over vectors alone"
-    )
-    options = parser.parse_args()
-    if options.memory:
-        write(options.output, [memory(int(options.particles[0]), options.cells, options.box)])
+def run(
+    particles: tuple[float, ...] = (1e6, 1e7),
+    cells: Annotated[int, "along each axis"] = 128,
+    box: Annotated[int, "cells along each axis of a box"] = 32,
+    shape: Annotated[tuple[Shape, ...], "of clouds", SHAPES] = tuple(SHAPES),
+    repeats: Runs = 5,
+    memory: Annotated[bool, "measure the memory of the first number of particles alone"] = False,
+    by_kokkos: Annotated[bool, "compare Kokkos' kernels with the loops over vectors alone"] = False,
+) -> Iterator[Record]:
+    """All stages, for each number of particles."""
+    if memory:
+        yield memory_of(int(particles[0]), cells, box)
         return
-    records = []
-    for count in map(int, options.particles if options.by_kokkos else ()):
-        for record in by_kokkos(count, options.cells, options.box, options.repeats):
-            print(f"{record.name}: {1e9 * record.median / count:.1f} ns/particle", flush=True)
-            records.append(record)
-    for count in map(int, () if options.by_kokkos else options.particles):
-        for shape in options.shape:
+    for count in map(int, particles):
+        if by_kokkos:
+            yield from beside_kokkos(count, cells, box, repeats)
+            continue
+        for one in shape:
             facts: dict[str, Any] = {}
             with watched(facts):
-                found = timings(count, options.cells, options.box, shape, options.repeats)
-            figures = "  ".join(f"{name} {1e9 * median(taken) / count:6.1f}" for name, taken in found.items())
-            print(f"{count:.0e} particles, {shape:24}{figures}  ns/particle", flush=True)
-            unit = work_unit(MPI.COMM_SELF, options.cells**3)
-            records += [
-                Record(record_name(stage, count, shape), taken, unit.seconds, particles=count, facts=facts)
-                for stage, taken in found.items()
-            ]
-    if options.output:
-        write(options.output, records)
+                found = timings(count, cells, box, one, repeats)
+            unit = work_unit(MPI.COMM_SELF, cells**3)
+            for stage, taken in found.items():
+                name = record_name(stage, count, one)
+                yield Record(name, taken, unit.seconds, particles=count, facts=facts)
+
+
+def printed(record: Record) -> str:
+    if not record.particles:
+        return f"{record.name}: {record.facts}"
+    return f"{record.name}: {1e9 * record.median / record.particles:.1f} ns/particle"
 
 
 def plain_name(stage: str) -> str:
@@ -230,7 +222,3 @@ def kernels_name(stage: str, particles: int, kernels: str) -> str:
 
 def record_name(stage: str, particles: int, shape: str) -> str:
     return f"particles, {stage}, {particles:.0e}, {shape}"
-
-
-if __name__ == "__main__":
-    main()

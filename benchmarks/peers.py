@@ -1,32 +1,31 @@
 """Time solvers of others beside ours on one uniform mesh between grounded walls: scipy's sine transform, hypre, pyamg.
 
 All get the same right-hand side and solve to 1e-10 from zero. A peer that is not there is left out with a line that says how
-to install it. A worker of benchmarks/bench.py; it starts hypre on one and two ranks, so it is
+to install it. A worker of `bench`; it starts hypre on one and two ranks, so it is
 not under mpiexec itself.
 """
 
 from __future__ import annotations
 
-import argparse
 import importlib.util
 import os
 import shutil
 import subprocess
-import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
-from cases import problem
-from measuring import BACKEND, BACKENDS, ENVIRONMENT, Record, WorkUnit, work_unit, write
 from mpi4py import MPI
 from scipy import sparse
-from sine import by_sine_transform, inverse_eigenvalues
 
 from amrpic.stages.poisson import PoissonSolver
-from amrpic.verify.sources import EPS0
+from cases import problem
+from exact.sources import EPS0
+from measuring import BACKEND, ENVIRONMENT, Backend, Record, Runs, WorkUnit, work_unit
+from sine import by_sine_transform, inverse_eigenvalues
 
 HERE = Path(__file__).parent
 Array = np.ndarray
@@ -165,7 +164,7 @@ def compiled(folder: Path) -> Path:
     return out
 
 
-def measure(sizes: list[int], backend: str, boxes: int, runs: int) -> Iterator[Record | str]:
+def measure(sizes: Sequence[int], backend: str, boxes: int, runs: int) -> Iterator[Record | str]:
     """Yield the records of all peers that are installed, and a line for each that is not."""
     for n in sizes:
         beside = Beside(n, runs)
@@ -180,24 +179,15 @@ def measure(sizes: list[int], backend: str, boxes: int, runs: int) -> Iterator[R
                 yield f"{what} is left out; to have it: {how}"
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--backend", default=BACKEND, choices=BACKENDS, help="how our operators are executed")
-    parser.add_argument("--boxes", type=int, default=64, help="largest boxes of ours")
-    parser.add_argument("--cells", type=int, nargs="+", default=[64, 128], help="cells along an axis")
-    parser.add_argument("--runs", type=int, default=5, help="runs of each")
-    parser.add_argument("--output", type=Path, required=True, help="the JSON to write")
-    given = parser.parse_args()
-    records = []
-    for found in measure(given.cells, given.backend, given.boxes, given.runs):
+def run(
+    backend: Backend = BACKEND,
+    boxes: Annotated[int, "largest boxes of ours"] = 64,
+    cells: Annotated[tuple[int, ...], "cells along an axis"] = (64, 128),
+    runs: Runs = 5,
+) -> Iterator[Record]:
+    """All peers that are here; a line for each that is not."""
+    for found in measure(cells, backend, boxes, runs):
         if isinstance(found, str):
             print(found, flush=True)
-            continue
-        records.append(found)
-        print(f"{found.name}: {found.median:.4g} s, {found.units:.0f} work units", flush=True)
-    write(given.output, records)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+        else:
+            yield found

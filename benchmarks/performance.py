@@ -1,17 +1,15 @@
 """Write docs/reports/performance.md and its pictures from what `make bench` measured.
 
-Run it by `python benchmarks/performance.py BENCH.json`.
+Run it by `python benchmarks performance BENCH.json`.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
-import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import bases
 import charts
@@ -165,9 +163,9 @@ def uniform(records: Sequence[Record]) -> list[tuple[str, ...]]:
 def particles(records: Sequence[Record]) -> list[tuple[str, ...]]:
     """Return the particle stages in ns per particle, by number and shape."""
     rows: list[tuple[str, ...]] = [("particles", "shape", *STAGES)]
-    mine = {record.name: record for record in records if record.name.startswith("particles, ")}
-    for count, shape in sorted({tuple(one.split(", ")[2:]) for one in mine}):
-        found = (mine[f"particles, {stage}, {count}, {shape}"] for stage in STAGES)
+    mine = {record.keys: record for record in records if record.keys[0] == "particles"}
+    for count, shape in sorted({keys[2:] for keys in mine}):
+        found = (mine["particles", stage, count, shape] for stage in STAGES)
         rows.append((count, shape, *(f"{1e9 * record.median / record.particles:.1f} ns" for record in found)))
     rows.append(("1e+07", "AMReX, cloud-in-cell", *(number(REFERENCE.get(stage, math.nan), " ns") for stage in STAGES)))
     return rows
@@ -177,9 +175,9 @@ def memory(records: Sequence[Record]) -> list[tuple[str, ...]]:
     """Return the memory of the solver per cell, and of particles."""
     rows: list[tuple[str, ...]] = [("what", "bytes")]
     for record in records:
-        if record.name.startswith("memory, "):
+        if record.keys[0] == "memory":
             for what, value in record.facts.items():
-                rows.append((f"{record.name.removeprefix('memory, ')}: {what.removeprefix('bytes ')}", figure(value)))
+                rows.append((f"{', '.join(record.keys[1:])}: {what.removeprefix('bytes ')}", figure(value)))
     return rows
 
 
@@ -187,7 +185,7 @@ def steps(records: Sequence[Record]) -> list[tuple[str, ...]]:
     """Return whole steps, with the stages of ours."""
     rows: list[tuple[str, ...]] = [("step of", "time", "stages")]
     for record in records:
-        if record.name.startswith("step, "):
+        if record.keys[0] == "step":
             stages = (f"{stage} {1e3 * spent:.3g} ms" for stage, spent in record.facts.get("stages", {}).items())
             rows.append((record.name.removeprefix("step, "), f"{record.median:.3g} s", ", ".join(stages)))
     return rows
@@ -204,10 +202,10 @@ def in_units(record: Record | None, cycles: int = 1) -> str:
 
 TEXT = """# Performance
 
-Made by `make bench` (`benchmarks/bench.py`), figures and pictures; commit {commit}, {time}, on {cores} cores of
+Made by `make bench` (`python benchmarks bench`), figures and pictures; commit {commit}, {time}, on {cores} cores of
 {processor}, kernels for {instructions}, backend `{backend}`, of which a run on one rank had {core:.0%}. Figures are medians of
-{runs} runs. Seconds belong to that machine and to what else it did; ratios and work units travel. `benchmarks/compare.py
-OLD NEW` runs two builds in turns, and resolves differences of 3 %; `benchmarks/compare_records.py BEFORE.json
+{runs} runs. Seconds belong to that machine and to what else it did; ratios and work units travel. `python benchmarks compare
+OLD NEW` runs two builds in turns, and resolves differences of 3 %; `python benchmarks compare_records BEFORE.json
 AFTER.json` compares two runs of this.
 
 ## Goals
@@ -425,14 +423,9 @@ def write(bench: Path, folder: Path) -> Path:
     return out
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("bench", type=Path, help="bench.json of a run")
-    parser.add_argument("--output", type=Path, default=ROOT / "docs" / "reports", help="folder of the document")
-    given = parser.parse_args()
-    print(write(given.bench, given.output))
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+def run(
+    bench: Annotated[Path, "bench.json of a run"],
+    output: Annotated[Path, "folder of the document"] = ROOT / "docs" / "reports",
+) -> None:
+    """Write the document."""
+    print(write(bench, output))

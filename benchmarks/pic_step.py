@@ -7,21 +7,21 @@ level by level. The walls are grounded in both; with open ones, ours is timed be
 
 from __future__ import annotations
 
-import argparse
 import importlib.util
 import json
 import subprocess
-import sys
 import tempfile
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from statistics import median
+from typing import Annotated
 
-from measuring import BACKEND, BACKENDS, Record, slowest, timed, work_unit, write
 from mpi4py import MPI
 
 from amrpic.pic.step import advance, begin
 from amrpic.scene.scene import Scene
+from measuring import BACKEND, RUNNER, Backend, Record, Runs, slowest, timed, work_unit
 
 HERE = Path(__file__).parent
 RELATIVE_TOLERANCE = 1e-7  # of the solve in every step; ImpactX's own default
@@ -90,7 +90,7 @@ def impactx(cells: int, particles: int, walls: str, runs: int) -> Record:
         }
         task["--tolerance"] = RELATIVE_TOLERANCE
         arguments = [str(part) for pair in task.items() for part in pair]
-        command = [sys.executable, str(HERE / "impactx_peer.py"), *arguments, "--output", str(found)]
+        command = [*RUNNER, "impactx_peer", *arguments, "--output", str(found)]
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
         taken = json.loads(found.read_text(encoding="utf-8"))
     return Record(step_name("ImpactX", cells, particles, walls), taken, particles=particles)
@@ -100,30 +100,22 @@ def step_name(who: str, cells: int, particles: int, walls: str, ranks: int = 1) 
     return f"step, {who}, {cells}³ cells, {particles:.0e} particles, {walls}, {ranks} rank{'s' * (ranks > 1)}"
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--backend", default=BACKEND, choices=BACKENDS, help="how the operators are executed")
-    parser.add_argument("--runs", type=int, default=5, help="runs of each")
-    parser.add_argument("--cells", type=int, default=64, help="along an axis of the base")
-    parser.add_argument("--particles", type=float, default=1e6)
-    parser.add_argument("--walls", nargs="+", choices=list(IMPACTX_WALLS), default=list(IMPACTX_WALLS))
-    parser.add_argument("--output", type=Path, required=True, help="the JSON to write")
-    given = parser.parse_args()
-    comm = MPI.COMM_WORLD
-    cells, particles = given.cells, int(given.particles)
-    records = []
-    for walls in given.walls:
-        records.append(ours(comm, cells, particles, walls, given.backend, given.runs))
-        if comm.size == 1 and importlib.util.find_spec("impactx") is not None:
-            records.append(impactx(cells, particles, walls, given.runs))
-    if comm.rank == 0:
-        for record in records:
-            print(f"{record.name}: {record.median:.4g} s", record.facts.get("stages", ""), flush=True)
-        if importlib.util.find_spec("impactx") is None:
-            print("ImpactX is left out; to have it: pip install impactx-noacc", flush=True)
-        write(given.output, records)
-    return 0
+def run(
+    backend: Backend = BACKEND,
+    runs: Runs = 5,
+    cells: Annotated[int, "along an axis of the base"] = 64,
+    particles: float = 1e6,
+    walls: Annotated[tuple[str, ...], "kinds", IMPACTX_WALLS] = tuple(IMPACTX_WALLS),
+) -> Iterator[Record]:
+    """Steps of ours and, on one rank, of ImpactX. Collective."""
+    comm, peer = MPI.COMM_WORLD, importlib.util.find_spec("impactx") is not None
+    if comm.rank == 0 and not peer:
+        print("ImpactX is left out; to have it: pip install impactx-noacc", flush=True)
+    for kind in walls:
+        yield ours(comm, cells, int(particles), kind, backend, runs)
+        if comm.size == 1 and peer:
+            yield impactx(cells, int(particles), kind, runs)
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def printed(record: Record) -> str:
+    return f"{record.name}: {record.median:.4g} s {record.facts.get('stages', '')}"

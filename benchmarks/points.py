@@ -1,4 +1,4 @@
-"""Time operators at points and at Gauss's points: the bakeoff problems BP1 to BP4. A worker of bench.py.
+"""Time operators at points and at Gauss's points: the bakeoff problems BP1 to BP4. A worker of `bench`.
 
 Each product with an operator beside the machine's peak of fused products and sums, measured in turns with it, and beside
 libCEED 0.12 where it can be had: its operators at Gauss's points, and its basis at points, which has the gradient there and
@@ -10,27 +10,24 @@ Thread time on one rank; on two ranks wall time of the slower one.
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import statistics
-import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from copy import deepcopy
 from functools import partial
-from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+import numpy as np
+from mpi4py import MPI
 
 import ceed_peer
 import kratos_peer
-import numpy as np
-from measuring import Record, reset_peak, resident, watched, write
-from mpi4py import MPI
-
 from amrpic import _native, fem, mpm
 from amrpic.mpm.state import Plan
 from amrpic.mpm.step import begin, put
-from amrpic.verify.press import first_tangent
+from exact.press import first_tangent
+from measuring import Record, Runs, reset_peak, resident, watched
 
 PROBLEMS = {"BP1": (fem.Mass, 1), "BP2": (fem.Mass, 3), "BP3": (fem.Poisson, 1), "BP4": (fem.Poisson, 3)}
 CELLS = {1: 16, 2: 10, 3: 8, 4: 6}  # elements per axis at points, by degree
@@ -294,45 +291,37 @@ def printed(record: Record) -> str:
     return f"{record.name}: {1e-6 * facts['unknowns'] / record.median:.3g} MDoF/s, {rate}{peak}{apart}"
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=5, help="runs of each")
-    parser.add_argument("--quick", action="store_true", help="BP3 alone")
-    parser.add_argument("--output", type=Path, required=True, help="the JSON to write")
-    given = parser.parse_args()
-    comm, records = MPI.COMM_WORLD, []
-    core: dict[str, Any] = {}
+def run(runs: Runs = 5, quick: Annotated[bool, "BP3 alone"] = False) -> Iterator[Record]:
+    """All problems: those on one rank, and large ones on all. Collective."""
+    comm = MPI.COMM_WORLD
     if comm.size == 1:
-        peer = ceed_peer.library() is not None
-        if not peer:
-            print("without libCEED, which cannot be imported: rows beside it are left out", flush=True)
-        problems = ("BP3",) if given.quick else tuple(PROBLEMS)
-        memory = run_memory()  # before others have taken some that is used again
-        with watched(core):
-            for problem in problems:
-                for degree, per_axis in AT_POINTS:
-                    records += at_points(problem, degree, per_axis, given.runs, peer)
-                for degree in DEGREES:
-                    records += at_gauss(problem, degree, given.runs, peer)
-            records += tangents(given.runs)
-            for degree in STEP_CELLS:
-                records += load_step(degree, given.runs)
-            if kratos_peer.there_is():
-                records += beside_kratos(given.quick)
-            else:
-                print("without Kratos, which cannot be imported: rows beside it are left out", flush=True)
-            for cells in (8,) if given.quick else (16, 32):
-                records += solves(cells)
-        records[0].facts.update(core)
-        records.append(memory)
-    for small in (True,) if given.quick else (True, False):
-        records += large(given.runs, small)
-    if comm.rank == 0:
-        for record in records:
-            print(printed(record), flush=True)
-        write(given.output, records)
-    return 0
+        yield from alone(runs, quick)
+    for small in (True,) if quick else (True, False):
+        yield from large(runs, small)
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def alone(runs: int, quick: bool) -> list[Record]:
+    """What is measured on one rank."""
+    records: list[Record] = []
+    core: dict[str, Any] = {}
+    peer = ceed_peer.library() is not None
+    if not peer:
+        print("without libCEED, which cannot be imported: rows beside it are left out", flush=True)
+    memory = run_memory()  # before others have taken some that is used again
+    with watched(core):
+        for problem in ("BP3",) if quick else tuple(PROBLEMS):
+            for degree, per_axis in AT_POINTS:
+                records += at_points(problem, degree, per_axis, runs, peer)
+            for degree in DEGREES:
+                records += at_gauss(problem, degree, runs, peer)
+        records += tangents(runs)
+        for degree in STEP_CELLS:
+            records += load_step(degree, runs)
+        if kratos_peer.there_is():
+            records += beside_kratos(quick)
+        else:
+            print("without Kratos, which cannot be imported: rows beside it are left out", flush=True)
+        for cells in (8,) if quick else (16, 32):
+            records += solves(cells)
+    records[0].facts.update(core)
+    return [*records, memory]

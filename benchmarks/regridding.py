@@ -1,4 +1,4 @@
-"""Time what regrid and set-up do with boxes alone, up to a million of them: `python benchmarks/regridding.py`.
+"""Time what regrid and set-up do with boxes alone, up to a million of them: `python benchmarks regridding`.
 
 A base of n³ boxes with two refined levels around ten bunches, as the reference benchmark has them for n = 24; then all that is
 refined moves by one block. Boxes are of 3³ blocks as there, but these of 2³ cells, not 8³, so that one rank can number all.
@@ -8,23 +8,22 @@ given as boxes; what scans cells grows with a rank's own cells instead.
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-from goals import Goal
-from growth import law
 from mpi4py import MPI
 
 import amrpic
 from amrpic.commands.text_table import columns
 from amrpic.pic.memory import run_memory
 from amrpic.stages.regrid import Regridding, regrid
+from goals import Goal
+from growth import law
 
 BOX, BLOCK, LEVELS = 6, 2, 3
 BASES = (8, 12, 16, 24, 32, 48, 64, 96)  # boxes per axis
@@ -110,17 +109,12 @@ def rows(found: list[Timed]) -> list[tuple[str, ...]]:
     return out
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--boxes", type=float, default=1e6, help="most boxes of the base (default: 1e6)")
-    parser.add_argument("--runs", type=int, default=3, help="runs of each, of which the least counts")
-    given = parser.parse_args()
-    found = [measure(base, given.runs) for base in itertools.takewhile(lambda n: n**3 <= given.boxes, BASES)]
+def run(
+    boxes: Annotated[float, "most boxes of the base"] = 1e6,
+    runs: Annotated[int, "runs of each, of which the least counts"] = 3,
+) -> None:
+    """Measure, and print the table and the goals."""
+    found = [measure(base, runs) for base in itertools.takewhile(lambda n: n**3 <= boxes, BASES)]
     print(*columns(rows(found)), sep="\n")
-    found_goals = goals(found)
-    for goal in found_goals:
+    for goal in goals(found):
         print(f"{goal.what}: {goal.measured:.3g}{goal.unit}, {goal.bound(goal.must)}: {goal.verdict}")
-
-
-if __name__ == "__main__":
-    main()

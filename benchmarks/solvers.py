@@ -6,7 +6,6 @@ construction with the reason; any other row makes the exit status 1.
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import json
 import os
@@ -17,10 +16,9 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, get_args
+from typing import Annotated, Any, get_args
 
 import numpy as np
-from measuring import ENVIRONMENT, ROOT, work_unit
 from mpi4py import MPI
 
 import amrpic
@@ -28,6 +26,7 @@ from amrpic.errors import SolverError
 from amrpic.pic.step import begin
 from amrpic.scene import solver_options
 from amrpic.stages.poisson import BaseSetup, PoissonSolver
+from measuring import ENVIRONMENT, ROOT, RUNNER, work_unit
 
 sys.path.insert(0, str(ROOT / "tests" / "support"))
 from static_case import EPS0, STATIC, static_hierarchy
@@ -329,7 +328,7 @@ COLUMNS = """
 
 HEAD = f"""# The solver's menu, measured
 
-Made by `make solvers` (`benchmarks/solvers.py`), which fails unless every row below converges to a residual of
+Made by `make solvers` (`python benchmarks solvers`), which fails unless every row below converges to a residual of
 {TOLERANCE:.0e} (max norm) to the default's potential within {SAME:.0e} of its largest value, or is refused at construction.
 What the options mean, and why the defaults are what they are: `[solver]` in [scene.md](../scene.md).
 
@@ -376,41 +375,43 @@ TAIL = """
 # ---- the command ----
 
 
-def run(case: str, ranks: int, quick: bool) -> Table:
+def on_ranks(case: str, ranks: int, quick: bool) -> Table:
     with tempfile.TemporaryDirectory() as folder:
         found = Path(folder) / "table.json"
-        worker = [sys.executable, __file__, "--case", case, "--output", str(found), *(["--quick"] if quick else [])]
+        worker = [
+            *RUNNER,
+            "solvers",
+            "--case",
+            case,
+            "--output",
+            str(found),
+            *(["--quick"] if quick else []),
+        ]
         subprocess.run(["mpiexec", "-n", str(ranks), *worker], env={**os.environ, **ENVIRONMENT}, check=True)
         content = json.loads(found.read_text())
     content["rows"] = [Measured(**row) for row in content["rows"]]
     return Table(**content)
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument(
-        "--output", type=Path, default=ROOT / "runs" / "reports" / "solvers.md", help="the document to write"
-    )
-    parser.add_argument("--quick", action="store_true", help="tiny cases and few rows, to see that it works")
-    parser.add_argument("--ranks", type=int, nargs="+", default=[1, 2], help="numbers of ranks")
-    parser.add_argument("--case", choices=CASES, help="measure this case on the ranks at hand, as JSON")
-    given = parser.parse_args()
-    if given.case:
-        table = measure(MPI.COMM_WORLD, given.case, given.quick)
+def run(
+    output: Annotated[Path, "the document to write"] = ROOT / "runs" / "reports" / "solvers.md",
+    quick: Annotated[bool, "tiny cases and few rows, to see that it works"] = False,
+    ranks: Annotated[tuple[int, ...], "numbers of them"] = (1, 2),
+    case: Annotated[str | None, "measure this one on the ranks at hand, as JSON", CASES] = None,
+) -> int:
+    """Measure all cases, and write the document; 1 if a row does not hold."""
+    if case is not None:
+        table = measure(MPI.COMM_WORLD, case, quick)
         if MPI.COMM_WORLD.rank == 0:
-            given.output.write_text(json.dumps(asdict(table)))
+            output.write_text(json.dumps(asdict(table)))
         return 0
     tables = []
-    for case, ranks in itertools.product(CASES, given.ranks):
-        print(f"{case} on {ranks} ranks", flush=True)
-        tables.append(run(case, ranks, given.quick))
-    given.output.parent.mkdir(parents=True, exist_ok=True)
-    given.output.write_text(document(tables), encoding="utf-8")
+    for name, count in itertools.product(CASES, ranks):
+        print(f"{name} on {count} ranks", flush=True)
+        tables.append(on_ranks(name, count, quick))
+    output.parent.mkdir(parents=True, exist_ok=True)
+    output.write_text(document(tables), encoding="utf-8")
     unsound = [(table, row) for table in tables for row in table.rows if not row.sound]
     for table, row in unsound:
         print(f"{table.case}, {table.ranks} ranks, {label(row.options)}: not the default's potential", file=sys.stderr)
-    return 1 if unsound else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    return int(bool(unsound))

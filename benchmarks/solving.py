@@ -1,23 +1,29 @@
-"""Time the solver: set-up, solves to several tolerances, regrids; and measure its memory. A worker of benchmarks/bench.py."""
+"""Time the solver: set-up, solves to several tolerances, regrids; and measure its memory. A worker of `bench`."""
 
 from __future__ import annotations
 
-import argparse
 import itertools
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from mpi4py import MPI
+
+import amrpic
+from amrpic.stages.poisson import PoissonSolver
+from amrpic.stages.regrid import Regridding, carry_over, regrid
 from cases import FAMILIES, STRETCHED, Problem, problem
+from exact.errors import errors
 from measuring import (
     BACKEND,
     BACKENDS,
     CPU_TIME,
+    Backend,
+    Quick,
     Record,
+    Runs,
     reset_peak,
     resident,
     slowest,
@@ -25,16 +31,9 @@ from measuring import (
     timed_beside_unit,
     watched,
     work_unit,
-    write,
     yardstick,
 )
 from measuring import in_turns as turns_of
-from mpi4py import MPI
-
-import amrpic
-from amrpic.stages.poisson import PoissonSolver
-from amrpic.stages.regrid import Regridding, carry_over, regrid
-from amrpic.verify.errors import errors
 
 FULL = 1e-10
 IN_TURNS = f"{FULL:g}, in turns"
@@ -271,7 +270,7 @@ class Laps:
 # ---- memory ----
 
 
-def memory(comm: MPI.Comm, case: str, boxes: int, backend: str) -> Record:
+def memory_of(comm: MPI.Comm, case: str, boxes: int, backend: str) -> Record:
     """Return what the solver takes beyond ρ and φ at its peak, in bytes per cell, of one rank. For a process of its own.
 
     The resident set before the solver is made is taken from the highest one until it has solved.
@@ -346,30 +345,15 @@ def everything(comm: MPI.Comm, backend: str, quick: bool, runs: int) -> Iterator
             yield from growth(comm, backend, runs)
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--backend", default=BACKEND, choices=BACKENDS, help="how the operators are executed")
-    parser.add_argument("--runs", type=int, default=5, help="runs of each")
-    parser.add_argument("--quick", action="store_true", help="few cases")
-    parser.add_argument("--memory", metavar="CASE", help="measure the memory of this case alone, boxes of 32")
-    parser.add_argument("--output", type=Path, required=True, help="the JSON to write")
-    given = parser.parse_args()
+def run(
+    backend: Backend = BACKEND,
+    runs: Runs = 5,
+    quick: Quick = False,
+    memory: Annotated[str | None, "measure the memory of this case alone, boxes of 32"] = None,
+) -> Iterator[Record]:
+    """All cases, or the memory of one. Collective."""
     comm = MPI.COMM_WORLD
-    if given.memory:
-        records = [memory(comm, given.memory, 32, given.backend)]
+    if memory is None:
+        yield from everything(comm, backend, quick, runs)
     else:
-        records = []
-        for record in everything(comm, given.backend, given.quick, given.runs):
-            records.append(record)
-            if comm.rank == 0:
-                print(
-                    f"{record.name}: {record.median:.4g} s, {record.units:.0f} work units, {record.over_dst:.2f} DST",
-                    flush=True,
-                )
-    if comm.rank == 0:
-        write(given.output, records)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+        yield memory_of(comm, memory, 32, backend)

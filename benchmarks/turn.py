@@ -7,19 +7,19 @@ processes (pages, the state of the machine) is left to the many turns of compare
 
 from __future__ import annotations
 
-import argparse
 import json
 import time
 from collections.abc import Callable
 from functools import partial
+from typing import Annotated
+
+from mpi4py import MPI
 
 import particles
+from amrpic.stages.poisson import PoissonSolver
 from cases import problem
-from mpi4py import MPI
 from sine import Yardstick
 from solving import FULL, follower
-
-from amrpic.stages.poisson import PoissonSolver
 
 Work = Callable[[], object]
 CLOCKS: dict[str, Callable[[], float]] = {"cpu": time.process_time, "wall": time.perf_counter}
@@ -88,13 +88,6 @@ def measure(case: str, repeats: int) -> dict[str, dict[str, float]]:
     return found
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--case", choices=list(CASES), required=True)
-    parser.add_argument("--repeats", type=int, default=5)
-    given = parser.parse_args()
-    print(json.dumps(measure(given.case, given.repeats)))
-
-
-if __name__ == "__main__":
-    main()
+def run(case: Annotated[str, "what is measured", tuple(CASES)] = "", repeats: int = 5) -> None:
+    """Measure and print, as JSON."""
+    print(json.dumps(measure(case, repeats)))

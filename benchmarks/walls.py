@@ -1,18 +1,17 @@
-"""Time a solve with open walls beside one with grounded walls on the mesh of `ten_bunches`. A worker of bench.py."""
+"""Time a solve with open walls beside one with grounded walls on the mesh of `ten_bunches`. A worker of `bench`."""
 
 from __future__ import annotations
 
-import argparse
-import sys
+from collections.abc import Iterator
 from functools import partial
-from pathlib import Path
+from typing import Annotated
 
-from measuring import BACKEND, BACKENDS, Record, slowest, timed, work_unit, write
 from mpi4py import MPI
-from open_boundary import density
 
 import amrpic
 from amrpic.stages.poisson import PoissonSolver
+from measuring import BACKEND, Backend, Record, Runs, slowest, timed, work_unit
+from open_boundary import density
 
 TOLERANCE = 1e-10
 WALLS = ("dirichlet", "open")
@@ -55,21 +54,10 @@ def walls_name(base: int, walls: str) -> str:
     return f"walls, ten_bunches {base}, {walls}"
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--backend", default=BACKEND, choices=BACKENDS, help="how the operators are executed")
-    parser.add_argument("--base", type=int, default=144, help="cells of the base along an axis")
-    parser.add_argument("--runs", type=int, default=5, help="runs of each")
-    parser.add_argument("--output", type=Path, required=True, help="the JSON to write")
-    given = parser.parse_args()
-    comm = MPI.COMM_WORLD
-    records = beside(comm, given.base, given.backend, given.runs)
-    if comm.rank == 0:
-        for record in records:
-            print(f"{record.name}: {record.median:.4g} s, {record.units:.0f} work units", flush=True)
-        write(given.output, records)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+def run(
+    backend: Backend = BACKEND,
+    base: Annotated[int, "cells of the base along an axis"] = 144,
+    runs: Runs = 5,
+) -> Iterator[Record]:
+    """Both solves. Collective."""
+    yield from beside(MPI.COMM_WORLD, base, backend, runs)

@@ -8,10 +8,9 @@ from typing import NoReturn
 
 from mpi4py import MPI
 
-from ..errors import InputError, SceneError
+from ..errors import InputError
 from ..parallel import from_rank_0, together
 from ..scene.any_scene import AnyScene, read_data, read_text
-from ..scene.scene import Scene
 from .methods import scene_from
 
 Commands = argparse._SubParsersAction
@@ -86,13 +85,3 @@ def scene_of(chosen: argparse.Namespace, text: str | None = None) -> AnyScene:
     if not chosen.output:
         raise InputError("--output is empty; name a folder, or leave it out for runs/<name of the scene>")
     return scene.model_copy(update={"output": scene.output.model_copy(update={"directory": chosen.output})})
-
-
-def pic_scene_of(chosen: argparse.Namespace) -> Scene:
-    """Return the scene that the arguments name if it is particle-in-cell. Raises SceneError."""
-    scene = scene_of(chosen)
-    if not isinstance(scene, Scene):
-        raise SceneError(
-            f"{chosen.scene} is of material points, which this command does not know; use run, check or preview"
-        )
-    return scene

@@ -6,12 +6,10 @@ import argparse
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from ..errors import InputError
 from ..io import time_series
@@ -22,9 +20,6 @@ from .arguments import Commands, command, seconds
 from .methods import MPM
 from .run import STOPPED as EXIT_STOPPED
 from .text_table import columns
-
-if TYPE_CHECKING:
-    from rich.console import Group
 
 SHOWN: Mapping[str, str] = {  # columns of the series, with their units
     "rms_x": "m",
@@ -127,33 +122,10 @@ def _value(value: float | None, unit: str) -> str:
     return quantity(value, unit) if unit else f"{value:.0f}"
 
 
-@contextmanager
-def screen() -> Iterator[Callable[[Look], None]]:
-    """Give what shows a look in place of the one before: by rich where it is installed, else as plain text."""
-    if not sys.stdout.isatty():
-        yield lambda look: print(f"{look.text}\n", flush=True)
-        return
-    try:
-        from rich.live import Live
-    except ImportError:
-        yield lambda look: print(f"\x1b[2J\x1b[H{look.text}", flush=True)
-        return
-    with Live(auto_refresh=False) as live:
-        yield lambda look: live.update(_rich(look), refresh=True)
-
-
-def _rich(look: Look) -> Group:
-    from rich.console import Group
-    from rich.table import Table
-    from rich.text import Text
-
-    facts = Table(title=Text(look.title), title_justify="left", show_header=False, box=None)
-    for name, value in look.facts:
-        facts.add_row(Text(name, "bold"), Text(value))
-    series = Table(show_header=False, box=None)
-    for name, bars, value in look.series:
-        series.add_row(Text(name, "bold"), Text(bars, "cyan"), Text(value))
-    return Group(facts, "", series)
+def show(look: Look) -> None:
+    """Print a look, on a terminal in place of the one before."""
+    place = "\x1b[2J\x1b[H" if sys.stdout.isatty() else ""
+    print(f"{place}{look.text}{'' if place else chr(10)}", flush=True)
 
 
 # ---- the command ----
@@ -179,13 +151,12 @@ def _watch(chosen: argparse.Namespace) -> int:
     folder = Path(chosen.run)
     if not folder.is_dir():
         raise InputError(f"{folder} is no folder; give that of a run, such as runs/drift")
-    with screen() as show:
-        shown = None
-        while True:
-            status = RunStatus.read(folder)
-            if status != shown:
-                show(Look.at(folder, status))
-            shown = status
-            if chosen.once or status.state != RUNNING:
-                return ENDS.get(status.state, 1)
-            time.sleep(chosen.every)
+    shown = None
+    while True:
+        status = RunStatus.read(folder)
+        if status != shown:
+            show(Look.at(folder, status))
+        shown = status
+        if chosen.once or status.state != RUNNING:
+            return ENDS.get(status.state, 1)
+        time.sleep(chosen.every)

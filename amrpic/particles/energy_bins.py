@@ -30,7 +30,7 @@ CURRENT = (
 )  # mean square of mean velocities over c in a part's frame, above which it is divided: that of a bin
 MOST = 16  # frames that are chosen by themselves
 FEW = 1e-3  # of the force of a neighbour: bins that change it by less join it
-FREE = 1.0  # error of the force over <β²> / (1 - <β²>) of free motion in the frame: `amrpic verify moving-charges`
+FREE = 1.0  # error of the force over <β²> / (1 - <β²>) of free motion in the frame: docs/reports/verification.md
 BOTH_WAYS = (
     0.01  # weight of <u²> beside <u>² in the choice of the axis: beams may move both ways along it, and be warm across
 )

@@ -33,7 +33,7 @@ PER_CELL, LEAST_PER_CELL = 2.0, 1.0
 PER_PLASMA_PERIOD, LEAST_PER_PLASMA_PERIOD = 60.0, 2 * math.pi / 0.5
 # Momenta that change by a part a of m c in a step, in the beam's frame, have an error of a² / 24 of the change.
 PER_GAIN, LEAST_PER_GAIN = 40.0, 4.0
-# So many that passages through elements are exact to 1e-5: `amrpic verify dynamics`.
+# So many that passages through elements are exact to 1e-5: docs/reports/verification.md.
 PER_PERIOD, LEAST_PER_PERIOD = 1000.0, 20.0
 PER_RF_PERIOD = 640.0
 PER_LENGTH, LEAST_PER_LENGTH = 80.0, 4.0  # four places sum up the profile of a gap, a fringe or a coil to 0.5 %

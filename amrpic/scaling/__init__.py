@@ -1,1 +1,1 @@
-"""How runs scale with ranks: what is measured on the ranks there are, and plans and a model of what more would take."""
+"""How steps of a scene scale with ranks, measured on those there are."""

@@ -174,17 +174,6 @@ def cells_of_ranks(mesh: Hierarchy) -> np.ndarray:
     )
 
 
-def faces_of_ranks(mesh: Hierarchy) -> np.ndarray:
-    """Return the cells on the six faces of the boxes of each level on each rank, int64 (levels, ranks)."""
-
-    def of_boxes(boxes: np.ndarray) -> np.ndarray:
-        x, y, z = (boxes[:, 3 + axis].astype(np.int64) - boxes[:, axis] + 1 for axis in range(3))
-        return 2 * (x * y + y * z + z * x)
-
-    rows = [np.bincount(mesh.owners(l), of_boxes(mesh.boxes(l)), mesh.comm.size) for l in range(mesh.levels)]
-    return np.array(rows).astype(np.int64)
-
-
 def cell_imbalance(mesh: Hierarchy) -> float:
     """Return Σ_l max ÷ Σ_l mean over ranks of the cells of level l: a cycle visits the levels in turn."""
     cells = cells_of_ranks(mesh)

@@ -77,13 +77,13 @@ def as_markdown(rows: Sequence[Sequence[str]]) -> str:
     return "\n".join(["| " + " | ".join(row) + " |" for row in (head, ["---:"] * len(head), *rest)])
 
 
-def page(found: Sequence[Measured], name: str, compared: Sequence[tuple[str, Sequence[Sequence[str]]]] = ()) -> str:
-    """Return what was measured of a scene as Markdown, with further tables, each with what is said of it."""
+def page(found: Sequence[Measured], name: str) -> str:
+    """Return what was measured of a scene as Markdown."""
     parts = [f"# Scaling: {name}", "![Time and efficiency over ranks](scaling.png)", as_markdown(table(found))]
     for runs in by_kind(found).values():
         for one in runs:
             parts += [f"## {one.kind}, {one.ranks} ranks", as_markdown(stage_table(one))]
-    return "\n\n".join([*parts, *(part for text, rows in compared for part in (text, as_markdown(rows)))])
+    return "\n\n".join(parts)
 
 
 def write(found: Sequence[Measured], text: str, folder: Path) -> list[Path]:

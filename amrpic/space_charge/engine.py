@@ -239,7 +239,7 @@ class SpaceCharge:
             particles = field.follow(particles, extent.magnitude, hysteresis, self._order.settled)
         assert particles.sorting is not None
         self._hierarchy, self._servers = particles.sorting.hierarchy, particles.sorting.servers
-        return particles, ChargeOnMesh(field, particles, extent.magnitude).efield
+        return particles, ChargeOnMesh(field, particles, extent.magnitude)["efield"]
 
     def _begin(self, comm: Communicator, extent: Extent, position: np.ndarray, charges: np.ndarray) -> None:
         """Make a mesh of the base alone on a new domain, and choose its levels and the clouds. Collective."""

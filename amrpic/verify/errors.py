@@ -64,8 +64,3 @@ def _mean_error(field: Field, exact: Exact) -> float:
         total += volume * np.array([wrong.sum(), wrong.size])
     total = field.comm.allreduce(total, op=MPI.SUM)
     return float(total[0] / total[1])
-
-
-def observed_order(cells: Sequence[int], error: Sequence[float]) -> float:
-    """Slope of the error over the cell width, by least squares of the logarithms."""
-    return -float(np.polyfit(np.log(cells), np.log(error), 1)[0])

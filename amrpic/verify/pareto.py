@@ -27,7 +27,6 @@ from ..scene.refinement_rules import StaticRule, every_rule
 from ..scene.scene import Scene
 from ..stages.diagnostics import field_energy
 from ..stages.migrate import migrate
-from .chosen import with_backend
 from .described import ExactField, Moved, density_of, exact_field
 from .draw import MARKERS, picture
 from .errors import errors
@@ -352,7 +351,7 @@ class Case:
         return out
 
     def set_up(self, tolerance: float | str) -> Setup:
-        chosen = with_backend({"tolerance": tolerance, "order": self.order})
+        chosen = {"tolerance": tolerance, "order": self.order}
         solver = self.scene.solver.model_copy(update=chosen)
         return set_up(self.hierarchy.comm, self.scene.model_copy(update={"solver": solver}))
 

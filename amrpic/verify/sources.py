@@ -28,16 +28,6 @@ class Density(Protocol):
         """Mean density (C/m³) of the cells between edges x (nx + 1,), y and z; (nx, ny, nz)."""
 
 
-class Source(Density, Protocol):
-    """A density, and the potential (V) and field (V/m) that it makes."""
-
-    def potential(self, x: Array, y: Array, z: Array) -> Array:
-        """φ in V; arguments broadcast."""
-
-    def field(self, x: Array, y: Array, z: Array) -> Vector:
-        """E in V/m; arguments broadcast."""
-
-
 def fill(density: Field, source: Density) -> Field:
     """Set every cell to the mean density of the source there; return the field."""
     for patch in density.patches:
@@ -87,31 +77,6 @@ class Sphere:
 
     def field(self, x: Array, y: Array, z: Array) -> Vector:
         r = np.maximum(_radius(self.centre, x, y, z), self.radius)
-        return _radial(self.centre, self.charge / (4 * np.pi * EPS0 * r**3), x, y, z)
-
-
-@dataclass(frozen=True)
-class Plummer:
-    """Density falling as r⁻⁵ around a core: q/(4π ε₀ √(r² + a²)) is its potential."""
-
-    core: float  # m
-    centre: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m
-    charge: float = EPS0  # C
-
-    def mean(self, x: Array, y: Array, z: Array) -> Array:
-        """Gauss-Legendre, three points per axis."""
-        nodes, weights = np.polynomial.legendre.leggauss(3)
-        points = [(e[:-1, None] + np.diff(e)[:, None] * (nodes + 1) / 2).ravel() for e in (x, y, z)]
-        r = _radius(self.centre, points[0][:, None, None], points[1][:, None], points[2])
-        density = 3 * self.charge / (4 * np.pi * self.core**3) * (1 + (r / self.core) ** 2) ** -2.5
-        density = density.reshape(len(x) - 1, 3, len(y) - 1, 3, len(z) - 1, 3)
-        return np.einsum("iajbkc,a,b,c->ijk", density, weights / 2, weights / 2, weights / 2)
-
-    def potential(self, x: Array, y: Array, z: Array) -> Array:
-        return self.charge / (4 * np.pi * EPS0) / np.hypot(_radius(self.centre, x, y, z), self.core)
-
-    def field(self, x: Array, y: Array, z: Array) -> Vector:
-        r = np.hypot(_radius(self.centre, x, y, z), self.core)
         return _radial(self.centre, self.charge / (4 * np.pi * EPS0 * r**3), x, y, z)
 
 
@@ -174,90 +139,3 @@ class Gaussian:
     def _shape(self, t: float, stretched: Array, *x: Array) -> Array:
         exponent = sum(((a - c) * t / s) ** 2 for a, c, s in zip(x, self.centre, stretched, strict=True))
         return np.exp(-exponent) / np.prod(stretched)
-
-
-@dataclass(frozen=True)
-class Together:
-    """The sum of several sources: trains, dipole pairs."""
-
-    parts: tuple[Gaussian, ...]
-
-    def density(self, x: Array, y: Array, z: Array) -> Array:
-        return sum(part.density(x, y, z) for part in self.parts)  # type: ignore[return-value]
-
-    def mean(self, x: Array, y: Array, z: Array) -> Array:
-        return sum(part.mean(x, y, z) for part in self.parts)  # type: ignore[return-value]
-
-    def potential(self, x: Array, y: Array, z: Array) -> Array:
-        return sum(part.potential(x, y, z) for part in self.parts)  # type: ignore[return-value]
-
-    def field(self, x: Array, y: Array, z: Array) -> Vector:
-        fields = [part.field(x, y, z) for part in self.parts]
-        return tuple(sum(f[d] for f in fields) for d in range(3))  # type: ignore[return-value]
-
-
-class Factor(Protocol):
-    """A function of one coordinate, its integral and its derivative."""
-
-    def integral(self, s: Array) -> Array: ...
-    def value(self, s: Array) -> Array: ...
-    def slope(self, s: Array) -> Array: ...
-
-
-@dataclass(frozen=True)
-class Wave:
-    """cos(k s + phase)."""
-
-    k: float  # 1/m
-    phase: float = 0.0
-
-    def integral(self, s: Array) -> Array:
-        return np.sin(self.k * s + self.phase) / self.k
-
-    def value(self, s: Array) -> Array:
-        return np.cos(self.k * s + self.phase)
-
-    def slope(self, s: Array) -> Array:
-        return -self.k * np.sin(self.k * s + self.phase)
-
-
-@dataclass(frozen=True)
-class Layer:
-    """exp(−s/width): steep near s = 0."""
-
-    width: float  # m
-
-    def integral(self, s: Array) -> Array:
-        return -self.width * np.exp(-s / self.width)
-
-    def value(self, s: Array) -> Array:
-        return np.exp(-s / self.width)
-
-    def slope(self, s: Array) -> Array:
-        return -np.exp(-s / self.width) / self.width
-
-
-@dataclass(frozen=True)
-class Product:
-    """The manufactured potential f(x) g(y) h(z), in V, and the density that makes it."""
-
-    factors: tuple[Factor, Factor, Factor]
-
-    def mean(self, x: Array, y: Array, z: Array) -> Array:
-        edge = (x, y, z)
-        means = [np.diff(f.integral(e)) / np.diff(e) for f, e in zip(self.factors, edge, strict=True)]
-        bends = [np.diff(f.slope(e)) / np.diff(e) for f, e in zip(self.factors, edge, strict=True)]
-        laplacian = sum(
-            np.einsum("i,j,k->ijk", *(bends[d] if d == axis else means[d] for d in range(3))) for axis in range(3)
-        )
-        return -EPS0 * laplacian
-
-    def potential(self, x: Array, y: Array, z: Array) -> Array:
-        f, g, h = self.factors
-        return f.value(x) * g.value(y) * h.value(z)
-
-    def field(self, x: Array, y: Array, z: Array) -> Vector:
-        values = [f.value(s) for f, s in zip(self.factors, (x, y, z), strict=True)]
-        slopes = [f.slope(s) for f, s in zip(self.factors, (x, y, z), strict=True)]
-        f, g, h = values
-        return -slopes[0] * g * h, -f * slopes[1] * h, -f * g * slopes[2]

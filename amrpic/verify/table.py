@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 
@@ -35,11 +35,8 @@ class Table:
     about: str  # what is measured and where the goals come from, a sentence or two
     columns: Sequence[str]
     rows: Sequence[Sequence[Cell]]
-    curves: Mapping[str, tuple[Sequence[float], Sequence[float]]] = field(default_factory=dict)
-    across: str = "base cells per axis"  # what the curves are drawn over
-    upwards: str = ""  # what they show
-    by_line: bool = False  # the kind of line shows what follows the last comma of a name
-    picture: Callable[[Path], None] | None = None  # writes one in place of that of the curves
+    upwards: str = ""  # what its picture shows
+    picture: Callable[[Path], None] | None = None  # writes it
 
     def goals(self) -> Iterator[Goal]:
         return (cell for row in self.rows for cell in row if isinstance(cell, Goal))

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 import numpy as np
-import particles as benchmark
-import plain_particles
 import pytest
 
+import particles as benchmark
+import plain_particles
 from amrpic.particles.clouds import SHAPES
 from amrpic.units import SPEED_OF_LIGHT
 

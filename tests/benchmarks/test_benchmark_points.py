@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from mpi4py import MPI
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 import ceed_peer
 import goals
 import points
-from measuring import Record
-
 from amrpic import _native, fem
+from measuring import Record
 
 
 def test_nominal_flops_are_those_of_sums_axis_by_axis():

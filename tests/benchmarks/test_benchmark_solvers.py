@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import subprocess
-import sys
-from pathlib import Path
 
 import mpi_batch
-
-BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "solvers.py"
-sys.path.insert(0, str(BENCHMARK.parent))
-from solvers import Measured, Table, document  # noqa: E402
+from measuring import RUNNER
+from solvers import Measured, Table, document
 
 
 def test_quick_run_converges_or_refuses_in_every_row(tmp_path):
     output = tmp_path / "solvers.md"
-    command = [sys.executable, str(BENCHMARK), "--quick", "--ranks", "2", "--output", str(output)]
+    command = [*RUNNER, "solvers", "--quick", "--ranks", "2", "--output", str(output)]
     done = subprocess.run(command, env=mpi_batch.ENVIRONMENT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     text = output.read_text()

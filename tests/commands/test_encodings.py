@@ -42,7 +42,7 @@ COMMANDS = [
     "compare runs/s runs/s",
     "plot runs/s --kind line --quantity phi",
     "schema --markdown",
-    "scaling s.toml --plan 8",
+    "scaling s.toml --ranks 1 --steps 1",
     "doctor",
     "verify σ",  # refused, with the letter in what is said
 ]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import os
 import subprocess
 import sys
@@ -12,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from amrpic.commands.main import main
-from amrpic.commands.watch import Look, _rich, sparkline
+from amrpic.commands.watch import sparkline
 from amrpic.io import time_series
 from amrpic.io.provenance import Provenance
 from amrpic.io.run_status import RunStatus, now
@@ -70,15 +69,6 @@ def test_a_run_is_watched_to_its_end(tmp_path):
     assert watch.returncode == 0, watch.stderr
     titles = [line for line in watch.stdout.splitlines() if line.startswith("drift: ")]
     assert titles[-1] == "drift: finished" and "step       20 of 20, 100 %" in watch.stdout
-
-
-def test_rich_shows_the_same(comm, tmp_path):
-    console = pytest.importorskip("rich.console")
-    look = Look.at(written(comm, tmp_path), STATUS)
-    out = io.StringIO()
-    console.Console(file=out, width=100).print(_rich(look))
-    shown = out.getvalue().split()
-    assert shown == look.text.split()
 
 
 def test_sparklines_reach_from_the_least_to_the_largest_value():

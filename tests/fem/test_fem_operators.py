@@ -7,8 +7,8 @@ import pytest
 from mpi4py import MPI
 
 from amrpic import fem
-from amrpic.verify.dense_elements import matrix, of_one_dimension, on_all_nodes, rows_at, smooth_vector
-from amrpic.verify.operators import ragged
+from exact.dense_elements import matrix, of_one_dimension, on_all_nodes, rows_at, smooth_vector
+from verify.operators import ragged
 
 KINDS = [fem.Mass, fem.Poisson]
 DEGREES = (1, 2, 3, 4)

@@ -9,8 +9,8 @@ from scipy.sparse import csr_array
 
 from amrpic import fem
 from amrpic.errors import InputError, SolverError
-from amrpic.verify.dense_elements import matrix, on_all_nodes, rows_at, smooth_vector
-from amrpic.verify.operators import ragged
+from exact.dense_elements import matrix, on_all_nodes, rows_at, smooth_vector
+from verify.operators import ragged
 
 
 def problem(comm, degree=2, components=1, boxes=2):

@@ -24,9 +24,9 @@ from amrpic.mpm.preview import preview
 from amrpic.mpm.sample import mesh_of, sample
 from amrpic.results import report
 from amrpic.results.compare import compare
-from amrpic.verify.mpm import GROUND, OF_SOFT, SOFT, column_errors, press
 from amrpic.view.draw import figures
 from amrpic.view.views import View
+from verify.mpm import GROUND, OF_SOFT, SOFT, column_errors, press
 from vtk_files import vtk_read
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

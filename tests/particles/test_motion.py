@@ -10,7 +10,7 @@ from amrpic.errors import ParticleError
 from amrpic.stages.migrate import migrate
 from amrpic.stages.push import PUSHERS, push
 from amrpic.units import ELEMENTARY_CHARGE, SPEED_OF_LIGHT
-from amrpic.verify.orbits import MC, Orbits, accelerated, turning
+from exact.orbits import MC, Orbits, accelerated, turning
 
 
 @pytest.mark.parametrize("drift", [0.0, pytest.param(0.3, marks=pytest.mark.long)])

@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 import amrpic
 from amrpic.units import ELEMENTARY_CHARGE
-from amrpic.verify.passages import (
+from exact.passages import (
     BETA_GAMMA,
     HARD,
     MC,
@@ -21,7 +21,7 @@ from amrpic.verify.passages import (
     through_hard,
     through_smooth,
 )
-from amrpic.verify.runs import collected
+from exact.runs import collected
 
 
 def scene(elements: list[dict[str, Any]], steps: int, **more: Any) -> amrpic.Scene:

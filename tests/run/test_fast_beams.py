@@ -14,7 +14,7 @@ from amrpic.scene import toml
 from amrpic.scene.bunches import DescribedBunch
 from amrpic.stages.gather import gather
 from amrpic.units import ELECTRON_MASS, SPEED_OF_LIGHT
-from amrpic.verify.sources import Gaussian
+from exact.sources import Gaussian
 
 MC = ELECTRON_MASS * SPEED_OF_LIGHT
 

@@ -13,8 +13,8 @@ from amrpic.errors import InputError, SolverError
 from amrpic.particles.frame import LABORATORY
 from amrpic.pic.restart import _frames
 from amrpic.units import ELECTRON_MASS, SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
-from amrpic.verify import moving_charges
-from amrpic.verify.sources import Gaussian
+from exact.sources import Gaussian
+from verify import moving_charges
 
 MC = ELECTRON_MASS * SPEED_OF_LIGHT
 LONG = ["1 mm", "1 mm", "10 mm"]

@@ -16,8 +16,8 @@ from amrpic.pic import time_step
 from amrpic.pic.setup import Setup
 from amrpic.pic.step import advance, begin
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE, PROTON_MASS, SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
-from amrpic.verify.passages import HARD, SMOOTH, TIME, error_of, flown, order, passage, through_hard, through_smooth
-from amrpic.verify.runs import collected, states
+from exact.passages import HARD, SMOOTH, TIME, error_of, flown, order, passage, through_hard, through_smooth
+from exact.runs import collected, states
 
 U = 0.5  # p / (m c)
 GAMMA = np.hypot(1, U)

@@ -15,12 +15,12 @@ from mpi4py import MPI
 import mpi_batch
 from amrpic.errors import InputError
 from amrpic.run.clock import Spent
-from amrpic.scaling.calibrate import least_disturbed
 from amrpic.scaling.measure import measure, over_ranks
 from amrpic.scaling.measured import Measured, Run, Stage, by_kind, efficiency, medians
 from amrpic.scaling.show import draw, stage_table, table
 from amrpic.scaling.study import ROOT, Study, grown, launch
 from amrpic.scene.scene import Scene
+from scaling_model.calibrate import least_disturbed
 
 SCENE = Path(__file__).parents[2] / "examples" / "sphere.toml"
 SMALL = ["domain.cells=16", "refinement.levels=1", "bunches.0.particles=2000", "output.write=['series']"]

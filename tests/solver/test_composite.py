@@ -20,7 +20,7 @@ from amrpic.mesh.domain import BOUNDARIES
 from amrpic.particles.clouds import SHAPES, Clouds
 from amrpic.stages.gather import gather
 from amrpic.stages.migrate import migrate
-from amrpic.verify.meshes import MESHES
+from exact.meshes import MESHES
 from hierarchies import all_cases
 from particle_cases import scattered as scattered_particles
 from rank_subsets import hierarchy_of, wait_quietly

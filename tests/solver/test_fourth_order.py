@@ -16,14 +16,14 @@ import amrpic
 from amrpic import PoissonSolver, _native
 from amrpic.errors import InputError, SolverError
 from amrpic.mesh.field import Field
-from amrpic.verify.convergence import outward_slope, smooth
-from amrpic.verify.errors import errors, observed_order
-from amrpic.verify.meshes import MESHES, Mesh
-from amrpic.verify.sources import Gaussian, Product, Source, Wave, fill
+from exact.errors import errors, observed_order
+from exact.meshes import MESHES, Mesh
+from exact.sources import Gaussian, Product, Source, Wave, fill
 from fourth_order_oracle import Oracle
 from fuzz import CYCLE_LIMITS
 from hierarchies import Case, all_cases
 from rank_subsets import hierarchy_of
+from verify.convergence import outward_slope, smooth
 
 TURN = 2 * np.pi
 MIXED = {"x": ("dirichlet", "neumann"), "y": "neumann", "z": ("neumann", "dirichlet")}

@@ -14,9 +14,9 @@ from scipy.special import erf
 
 from amrpic import Domain, Field, Hierarchy, PoissonSolver
 from amrpic._native import kernel_table_bytes, lattice_green, multipole_moments, translate_moments
-from amrpic.verify.lattice import FreeLattice
-from amrpic.verify.meshes import Mesh
-from amrpic.verify.sources import EPS0, Gaussian, fill
+from exact.lattice import FreeLattice
+from exact.meshes import Mesh
+from exact.sources import EPS0, Gaussian, fill
 from lattice_between_faces import ghosts_of, solved
 from open_walls import density, greatest_difference, mesh, noise, own_walls, planes_of, walls, with_patch
 
@@ -174,16 +174,6 @@ def test_wall_values_of_a_train_on_a_finer_lattice():
     charges = SOURCES["train on the diagonal"](96)
     expected = FreeLattice((96, 96, 96))(charges)
     assert greatest_difference(walls(charges), ghosts_of(expected)) < 6e-5 * np.abs(expected).max()
-
-
-@pytest.mark.parametrize("cell", [(0, 24, 24), (0, 5, 16), (0, 0, 0), (47, 46, 3)])
-def test_field_of_one_charge_in_the_outermost_layer(cell, exact_48):
-    charges = np.zeros((48, 48, 48))
-    charges[cell] = 1
-    planes = ghosts_of(exact_48(charges))
-    _, expected = field(charges, planes)
-    _, e = field(charges, walls(charges))
-    assert np.abs(e - expected).max() < 1e-4 * np.abs(expected).max()
 
 
 def test_no_narrow_peak_hides_behind_a_wide_one(exact_48):

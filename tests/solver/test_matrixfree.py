@@ -11,7 +11,7 @@ from mpi4py import MPI
 import amrpic
 from amrpic import PoissonSolver, Scene
 from amrpic.errors import SceneError, SolverError
-from amrpic.verify.meshes import MESHES
+from exact.meshes import MESHES
 
 BOUNDARIES: dict[str, Any] = {
     "open": "open",

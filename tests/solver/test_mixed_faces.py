@@ -12,9 +12,9 @@ from scipy.special import erf
 
 from amrpic import Domain, Field, Hierarchy, PoissonSolver
 from amrpic._native import OpenWallPlans
-from amrpic.verify.errors import errors, level_errors, observed_order
-from amrpic.verify.lattice import FreeLattice
-from amrpic.verify.sources import EPS0, fill
+from exact.errors import errors, level_errors, observed_order
+from exact.lattice import FreeLattice
+from exact.sources import EPS0, fill
 from gaussian_between_faces import GaussianBetweenFaces
 from lattice_between_faces import LatticeBetweenFaces, counted_at_ghosts, ghost_errors, ghosts_of, solved
 from open_walls import density, mesh, noise, planes_of, walls, with_patch

@@ -11,8 +11,8 @@ from mpi4py import MPI
 from scipy.special import j0
 
 from amrpic import Domain, Field, Hierarchy, PoissonSolver
-from amrpic.verify.errors import errors, observed_order
-from amrpic.verify.sources import Gaussian, fill
+from exact.errors import errors, observed_order
+from exact.sources import Gaussian, fill
 
 AXES = "xyz"
 WIDTH = 0.1  # of the bumps, m

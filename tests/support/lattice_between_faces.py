@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from amrpic.verify.lattice import heat_kernel
+from exact.lattice import heat_kernel
 
 Faces = tuple[tuple[str, str], tuple[str, str], tuple[str, str]]
 SIGNS = {"dirichlet": -1, "neumann": 1}  # of the image in a wall

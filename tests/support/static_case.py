@@ -6,11 +6,11 @@ from mpi4py import MPI
 
 import amrpic
 from amrpic.stages.poisson import PoissonSolver
-from amrpic.verify.errors import level_errors as errors
-from amrpic.verify.errors import observed_order
-from amrpic.verify.peers import static as static_hierarchy
-from amrpic.verify.peers import static_source
-from amrpic.verify.sources import EPS0, Gaussian
+from exact.amrex import static as static_hierarchy
+from exact.amrex import static_source
+from exact.errors import level_errors as errors
+from exact.errors import observed_order
+from exact.sources import EPS0, Gaussian
 
 __all__ = ["EPS0", "STATIC", "Gaussian", "errors", "observed_order", "solve_static", "static_hierarchy"]
 

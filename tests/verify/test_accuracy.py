@@ -7,7 +7,7 @@ import pytest
 from mpi4py import MPI
 
 from amrpic.particles.clouds import Shape
-from amrpic.verify.accuracy import Round, _explode, shells
+from verify.accuracy import Round, _explode, shells
 
 TRIANGULAR: Shape = "triangular-shaped-cloud"
 

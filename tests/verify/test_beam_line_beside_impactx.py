@@ -9,8 +9,8 @@ import pytest
 from mpi4py import MPI
 
 from amrpic.units import ELECTRON_MASS, SPEED_OF_LIGHT
-from amrpic.verify import beam_line
-from amrpic.verify.beam_line import CHARGES, SIZES, at, reference, screens
+from verify import beam_line
+from verify.beam_line import CHARGES, SIZES, at, reference, screens
 
 
 def test_the_reference_is_of_this_line():

@@ -11,8 +11,8 @@ from scipy.integrate import solve_ivp
 
 from amrpic.particles.equivalent_beam import line_gradient, tune_depression
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE, SPEED_OF_LIGHT
-from amrpic.verify import envelopes, halo, mismatch
-from amrpic.verify.channel import LENGTH, OMEGA, PERIOD, RADIUS, constant, matched
+from exact.channel import LENGTH, OMEGA, PERIOD, RADIUS, constant, matched
+from verify import envelopes, halo, mismatch
 
 
 def test_matched_envelope_rests_with_the_stated_depression():

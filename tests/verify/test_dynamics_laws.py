@@ -7,8 +7,9 @@ import pytest
 from mpi4py import MPI
 
 from amrpic.units import ELEMENTARY_CHARGE
-from amrpic.verify import orbits, passages, plasma, two_frames
 from amrpic.verify.described import before_shift
+from exact import orbits, passages
+from verify import plasma, two_frames
 
 
 @pytest.mark.parametrize("shape, order", [("cloud-in-cell", 2), ("triangular-shaped-cloud", 3)])

@@ -7,8 +7,8 @@ import math
 import pytest
 from scipy.integrate import dblquad
 
-from amrpic.verify.errors import observed_order
-from amrpic.verify.image_force import FALLS, FREE, TURNS, beyond, measured
+from exact.errors import observed_order
+from verify.image_force import FALLS, FREE, TURNS, beyond, measured
 
 PARTICLES = 2**14
 

@@ -74,8 +74,7 @@ constexpr GlobalIndex whole_on_all_ranks = 10000;  ///< cells of a level; relaxi
 bool leaves_mean(MultigridLevels const& multigrid) {
   Real const of_others = smallest_eigenvalue(*multigrid.levels[multigrid.base], multigrid.boundary, 0);
   bool const is_free = std::all_of(multigrid.boundary.begin(), multigrid.boundary.end(), is_closed);
-  return is_free &&
-         multigrid.shift < std::max(1e-9 * of_others, 1e-15 * multigrid.equation(multigrid.base).diagonal());
+  return is_free && multigrid.shift < std::max(1e-9 * of_others, 1e-15 * multigrid.equation(multigrid.base).diagonal());
 }
 
 /// Walls of the coarsest level, with the open ones where corrections vanish behind the middle of each face.
@@ -126,13 +125,9 @@ Cycle::Cycle(Communicator const& comm, MultigridLevels multigrid, int max_grid_s
     auto const* semicoarse = levels().semicoarse(c);
     Coarsening::Pair pair;
     if (!semicoarse)
-      pair = {levels().refines(l),
-              levels().parents_in_place[l] != 0,
-              has_gaps[l] != 0,
-              levels().beside(l).finer,
-              gap_fits,
-              most_direct,
-              known ? &(*known)[l] : nullptr};
+      pair = {
+          levels().refines(l), levels().parents_in_place[l] != 0, has_gaps[l] != 0, levels().beside(l).finer, gap_fits,
+          most_direct,         known ? &(*known)[l] : nullptr};
     return std::make_unique<Coarsening>(comm, this->swept(l), this->swept(c),
                                         semicoarse ? semicoarse->ratio : levels().ratio[l], pair,
                                         coarse_ghosts_of(levels(), open_walls, c));

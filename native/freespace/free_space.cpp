@@ -6,6 +6,8 @@
 #include <map>
 #include <set>
 
+#include "base/error.hpp"
+
 namespace amrpic::freespace {
 
 namespace {
@@ -98,12 +100,16 @@ ChargeBlocks FreeSpace::own_charges(WallPlan const& plan, std::vector<ChargeBox>
 OctreeBuilder FreeSpace::leaves_of(WallPlan const& plan, ChargeBlocks const& blocks) {
   std::vector<double> sums(octaves + most_levels, 0.0);
   for (auto const& [leaf, moments] : blocks.leaves()) {
-    sums[std::size_t(std::ilogb(leaf.magnitude) - lowest_octave)] += leaf.magnitude;
+    int const octave = std::isfinite(leaf.magnitude) ? std::ilogb(leaf.magnitude) - lowest_octave : octaves - 1;
+    sums[std::size_t(octave)] += leaf.magnitude;
     sums[std::size_t(octaves + leaf.key.level)] += 1;
   }
   comm_.sum_each(sums);
   double total = 0;
   for (int n = 0; n < octaves; ++n) total += sums[std::size_t(n)];
+  if (!std::isfinite(total))
+    throw SolverError(
+        "the charge is not finite, or so large that its potential is not; look for the step that made it");
   int weakest = 0;
   for (double sum = 0; weakest < octaves && (sum += sums[std::size_t(weakest)]) < options_.dropped * total;) ++weakest;
   int finest = 0;

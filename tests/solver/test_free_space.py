@@ -14,6 +14,7 @@ from scipy.special import erf
 
 from amrpic import Domain, Field, Hierarchy, PoissonSolver
 from amrpic._native import kernel_table_bytes, lattice_green, multipole_moments, translate_moments
+from amrpic.errors import SolverError
 from exact.lattice import FreeLattice
 from exact.meshes import Mesh
 from exact.sources import EPS0, Gaussian, fill
@@ -413,3 +414,12 @@ def test_tables_of_all_solvers_together_are_bounded_and_made_again_as_needed():
         assert all(np.array_equal(again.array(level), phi.array(level)) for level in range(hierarchy.levels))
     del solvers, solver
     assert kernel_table_bytes() == before
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+@pytest.mark.parametrize("value", [1e300, np.inf, np.nan])
+def test_charge_without_a_finite_potential_is_refused_on_all_ranks(comm, value):
+    hierarchy = Hierarchy(comm, Domain(0, 1, 16, "open"), max_grid_size=8)
+    rho = Field(hierarchy).fill(lambda x, y, z: np.where((x < 0.1) & (y < 0.1) & (z < 0.1), value, 1.0))
+    with pytest.raises(SolverError, match="not finite"):
+        PoissonSolver(hierarchy).solve(rho)

@@ -115,10 +115,11 @@ def _compressed_rows(scene: Scene, boxes: Sequence[Array]) -> dict[str, int]:
     """Return the bytes of the backend of compressed rows, which has lists and vectors of the matrix-free one as well."""
     cells = [int(cells_of(level).sum()) for level in boxes]
     copied, weights, copies = _all_copies(scene, boxes)
-    operators = sum(_operators(scene, *level) for level in _cycle(scene, cells)) + copies * LAPLACIAN
+    operators = sum(_operators(scene, *level) for level in _cycle(scene, cells))
+    operators += copies * (LAPLACIAN + ROW) + copied * ENTRY  # with restriction
     total = sum(cells)
     vectors = (total + sum(cells_below(scene))) * (3 * NUMBER + 1 + _smoother(scene)) + total * NUMBER
-    of_copies = copies * (3 * NUMBER + _smoother(scene)) + copied * (NUMBER + ENTRY + ROW) + weights * ENTRY
+    of_copies = copies * (3 * NUMBER + _smoother(scene)) + copied * (NUMBER + ROW) + weights * ENTRY
     return {
         "operators": operators + INTERFACE * ENTRY * _faces(scene, boxes),
         "multigrid": vectors + of_copies,

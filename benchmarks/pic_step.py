@@ -90,7 +90,7 @@ def impactx(cells: int, particles: int, walls: str, runs: int) -> Record:
         }
         task["--tolerance"] = RELATIVE_TOLERANCE
         arguments = [str(part) for pair in task.items() for part in pair]
-        command = [*RUNNER, "impactx_peer", *arguments, "--output", str(found)]
+        command = [*RUNNER, "impactx_peer", *arguments, str(found)]
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
         taken = json.loads(found.read_text(encoding="utf-8"))
     return Record(step_name("ImpactX", cells, particles, walls), taken, particles=particles)

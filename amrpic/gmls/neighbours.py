@@ -163,7 +163,7 @@ def leaves_around(hierarchy: Mesh, reach: float) -> tuple[np.ndarray, Neighbours
 
     Cells are numbered as by `cells`. Neighbours end at the faces of the domain, periodic ones too. Cells with equal
     surroundings are known at once, for `stencils` with a lattice of half the finest widths. Not collective: boxes are known
-    on all ranks. Raises InputError for a reach below 1 or too long to be told in finest cells, and as `cells_around`.
+    on all ranks. Raises InputError for a reach below 1 or of too many finest cells to count, and as `cells_around`.
     """
     if not 1 <= reach < np.inf:
         raise InputError(f"reach is {reach}; it is a number of cells, at least 1, for instance 2.1")

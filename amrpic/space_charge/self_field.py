@@ -90,13 +90,16 @@ class ChargeOnMesh(QuantitiesOnMesh):
         return deposit(self.particles, self.hierarchy, self._of.clouds)
 
     def _phi(self) -> Field:
-        phi, self._made["efield"] = self._of.solved(self["rho"], self._deposited)
-        return phi
+        return self._solved()[0]
 
     def _efield(self) -> VectorField:
+        return self._solved()[1]
+
+    def _solved(self) -> tuple[Field, VectorField]:
+        """Return potential and field, of which the one that is not asked for is kept as well. Collective."""
         phi, efield = self._of.solved(self["rho"], self._deposited)
-        self._made["phi"] = phi
-        return efield
+        self._made.update(phi=phi, efield=efield)
+        return phi, efield
 
 
 def sorted_on(

@@ -3,29 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from mpi4py import MPI
 
 from ..errors import SceneError
 from ..pic import limits
 from ..pic.simulation import Simulation
-from ..results.run_results import Results
-from ..run.log import Log
+from ..run.life import Run
 from ..scene.any_scene import AnyScene
 from ..scene.scene import Scene
 
 MPM = "mpm"
-
-
-class Run(Protocol):
-    """A run of any method."""
-
-    def run(self, walltime: float | None = None, log: Log = "print") -> Results:
-        """Go on to the end."""
-
-    def checkpoint(self, path: str | Path) -> None:
-        """Write the whole state into a new directory."""
 
 
 def scene_from(data: dict[str, Any], path: str | Path) -> AnyScene:
@@ -41,7 +30,7 @@ def scene_from(data: dict[str, Any], path: str | Path) -> AnyScene:
     return OfPoints.from_data(data, path)
 
 
-def simulation_of(comm: MPI.Comm, scene: AnyScene, checkpoint: str | Path | None = None) -> Run:
+def simulation_of(comm: MPI.Comm, scene: AnyScene, checkpoint: str | Path | None = None) -> Run[Any]:
     """Return the run of a scene at its start, or at a checkpoint. Collective; raises what these raise."""
     if isinstance(scene, Scene):
         return Simulation(comm, scene) if checkpoint is None else Simulation.restart(comm, checkpoint, scene)

@@ -15,6 +15,8 @@ from mpi4py import MPI
 from ..errors import AmrpicError
 from ..io import vtkhdf_writer
 from ..io.field_reader import LiveDump
+from ..io.provenance import about
+from ..io.writer_ranks import writers_of
 from ..mesh.domain import AXES
 from ..mesh.field import Field
 from ..mesh.hierarchy import Hierarchy
@@ -28,7 +30,6 @@ from ..pic.initial_particles import make_bunches, start_of
 from ..pic.limits import machine_memory
 from ..pic.memory import MIB, run_memory
 from ..pic.meshed import MeshedParticles, deposit
-from ..pic.restart import about, writers_of
 from ..pic.setup import Setup, resolved, set_up
 from ..pic.time_step import with_time_step
 from ..progress import progress

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from typing import Any
 
 from mpi4py import MPI
 
@@ -11,12 +12,13 @@ from ..io.checkpoint_manifest import UnreadableCheckpoint
 from ..io.checkpoint_reader import candidates
 from ..parallel import together
 from ..run.folder import prepare
+from ..run.life import Run
 from ..run.log import RunLog
 from ..run.status import start_failed
 from ..scene.any_scene import AnyScene
 from ..scene.units import to_seconds
 from .arguments import Commands, command, scene_arguments, scene_on_all_ranks
-from .methods import Run, simulation_of
+from .methods import simulation_of
 
 STOPPED = 75  # "try again later": stopped by a signal or the clock after a checkpoint, to be resubmitted
 
@@ -50,7 +52,7 @@ def _run(chosen: argparse.Namespace) -> int:
     return 0 if simulation.run(walltime).stopped is None else STOPPED
 
 
-def _begin(comm: MPI.Comm, scene: AnyScene, restart: str | None) -> Run:
+def _begin(comm: MPI.Comm, scene: AnyScene, restart: str | None) -> Run[Any]:
     """Return the run at its start or at a checkpoint, with "auto" the newest one that is whole; rank 0 warns of others."""
     if restart is not None and restart != "auto":
         return simulation_of(comm, scene, restart)

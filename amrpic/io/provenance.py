@@ -5,7 +5,10 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from importlib.metadata import version
 from typing import Any
+
+from ..scene.any_scene import AnyScene
 
 
 @dataclass(frozen=True)
@@ -20,3 +23,8 @@ class Provenance:
     def scene_text(self) -> str:
         """The scene as JSON in one line, in its order: that of materials is the order of their numbers."""
         return json.dumps(self.scene)
+
+
+def about(scene: AnyScene) -> Provenance:
+    """Return what every output says about the run of a scene."""
+    return Provenance(scene.to_dict(), version("amrpic"), scene.seed)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..errors import AmrpicError, OutputError
 from ..parallel import raise_together
+from ..scene.any_scene import AnyScene
 from ..scene.output import PART_BYTES
 
 PIECE_BYTES = 2**20  # what is sent, written and checked at once
@@ -72,6 +73,11 @@ class Writers:
 
 
 BY_SIZE = Writers()
+
+
+def writers_of(scene: AnyScene) -> Writers:
+    """Return how many ranks write a file of a run."""
+    return Writers(scene.output.writers, scene.output.part_bytes)
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,11 @@ from mpi4py import MPI
 
 from ..io import vtkhdf_writer
 from ..io.field_reader import LiveDump
+from ..io.provenance import about
+from ..io.writer_ranks import writers_of
 from ..parallel import global_max
 from ..pic.limits import machine_memory
 from ..pic.memory import MIB
-from ..pic.restart import about, writers_of
 from ..run.folder import prepare
 from ..units import quantity
 from ..view.draw import draw

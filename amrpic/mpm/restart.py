@@ -10,8 +10,8 @@ from ..errors import InputError
 from ..io.checkpoint_manifest import Header
 from ..io.checkpoint_reader import read, read_manifest
 from ..io.checkpoint_writer import Snapshot
-from ..pic.restart import about, require_same
-from ..scene.differences import differences
+from ..io.provenance import about
+from ..scene.differences import differences, require_same
 from .scene import Scene
 from .state import Plan, State
 from .step import put
@@ -56,7 +56,7 @@ def load(comm: MPI.Comm, path: Path, scene: Scene | None = None) -> tuple[State,
     scene = scene if scene is not None else Scene.from_dict(made_by, source=f"the scene in {path}")
     now = {**scene.to_dict(), "materials": list(scene.materials)}
     before = {**made_by, "materials": materials}
-    require_same(scene, path, (one for part in FIXED for one in differences(now[part], before[part], part)))
+    require_same(scene.name, path, (one for part in FIXED for one in differences(now[part], before[part], part)))
     plan = Plan(comm, scene)
     held, extra = read(comm, path, manifest=manifest), header.extra
     loads = scene.schedule.loads(extra["begin"], extra["length"])

@@ -18,7 +18,7 @@ from ..parallel import own, together
 from ..scene.bunches import LatticeBunch, Train
 from ..scene.output import Output
 from ..scene.scene import Scene
-from .output import Recorder
+from .particle_recorder import ParticleRecorder
 from .simulation import Simulation
 
 FOLDER = ".trial"
@@ -149,8 +149,8 @@ def _tried(comm: MPI.Comm, scene: Scene, end: float) -> tuple[Trial, int, int]:
         setup = simulation._setup
         taken: list[tuple[bool, float]] = []  # whether a step regrids, and its s
         begun = time.perf_counter()
-        with Recorder(comm, simulation.state, setup, False, log="silent") as record:
-            record.state(simulation.state, [])
+        with ParticleRecorder(simulation.state, setup, False, log="silent") as record:
+            record.state(simulation.state)
             start += time.perf_counter() - begun
             while simulation.step < scene.schedule.last_step:
                 if len(taken) > 1 and not _in_time(comm, taken[-1][1], end):
@@ -164,7 +164,7 @@ def _tried(comm: MPI.Comm, scene: Scene, end: float) -> tuple[Trial, int, int]:
                     )
                 begun = time.perf_counter()
                 simulation.advance()
-                record.state(simulation.state, [])
+                record.state(simulation.state)
                 regrids = setup.scene.refinement.regrids_at(simulation.step)
                 taken.append((regrids, time.perf_counter() - begun))
         begun = time.perf_counter()

@@ -9,10 +9,10 @@ from mpi4py import MPI
 
 from ..io import openpmd_writer, time_series
 from ..io.provenance import Provenance
+from ..io.writer_ranks import writers_of
 from ..results.run_results import LOSSES
 from ..scene.scene import Scene
 from ..stages.loss_map import COLUMNS, loss_map
-from .restart import writers_of
 from .state import State
 
 LOSS_MAP = "losses.csv"

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +15,7 @@ from ..errors import InputError
 from ..io.checkpoint_manifest import Header
 from ..io.checkpoint_reader import read, read_manifest
 from ..io.checkpoint_writer import Snapshot
-from ..io.provenance import Provenance
-from ..io.writer_ranks import Writers
+from ..io.provenance import about
 from ..mesh.domain import FACES, Domain
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
@@ -28,8 +26,7 @@ from ..particles.energy_bins import Charge, Frames
 from ..particles.frame import Frame
 from ..particles.particles import Particles
 from ..particles.species import SpeciesTable
-from ..scene.any_scene import AnyScene
-from ..scene.differences import differences
+from ..scene.differences import differences, require_same, setting_text
 from ..scene.domain import DomainSection
 from ..scene.scene import Scene
 from ..scene.solver_options import SolverOptions
@@ -63,16 +60,6 @@ LAGGING_BYTES = 24  # of the momenta that leapfrog keeps beside them
 RECORDED = ("time", "direction", "cause")  # beside them, of particles in a record
 # Parts of a scene that a restart follows from the next step on.
 FOLLOWED = ("seed", "domain", "background", "refinement", "particles", "solver", "motion", "apertures", "screens")
-
-
-def about(scene: AnyScene) -> Provenance:
-    """Return what every output says about the run."""
-    return Provenance(scene.to_dict(), version("amrpic"), scene.seed)
-
-
-def writers_of(scene: AnyScene) -> Writers:
-    """Return how many ranks write a file of a run."""
-    return Writers(scene.output.writers, scene.output.part_bytes)
 
 
 def snapshot(state: State, setup: Setup) -> Snapshot:
@@ -321,7 +308,7 @@ def _remarks(scene: Scene, header: Header) -> list[str]:
     if scene.schedule.start is not None and scene.schedule.start != made_from["schedule"].get("start"):
         out.append(f"schedule.start has no effect: the run goes on at the {header.time:.6g} s of the checkpoint")
     changed = [
-        f"{path} is {_text(value)}, before {_text(before)}"
+        f"{path} is {setting_text(value)}, before {setting_text(before)}"
         for part in FOLLOWED
         for path, value, before in differences(now.get(part), made_from.get(part, []), part)
     ]
@@ -341,20 +328,7 @@ def _remarks_on_fields(names: Sequence[str], before: Sequence[str]) -> list[str]
     ]
 
 
-def _text(value: Any) -> str:
-    return "not given" if value is None else str(value)
-
-
 def _require_same_domain(scene: Scene, header: Header, path: Path) -> None:
     """Raise InputError unless a scene has the cuboid and the boundary of a checkpoint; base cells may be others."""
     now = scene.domain.model_dump(mode="json")
-    require_same(scene, path, differences(now, {**header.domain, "cells": now["cells"]}, "domain"))
-
-
-def require_same(scene: AnyScene, path: Path, changed: Iterable[tuple[str, Any, Any]]) -> None:
-    """Raise InputError for the first of the `differences` between a scene and that of a checkpoint, if there are any."""
-    for key, value, before in changed:
-        raise InputError(
-            f"{scene.name} cannot go on from checkpoint {path}: {key} is {_text(value)} instead of {_text(before)}; "
-            "restore that, or start afresh in another folder"
-        )
+    require_same(scene.name, path, differences(now, {**header.domain, "cells": now["cells"]}, "domain"))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Self
 
@@ -12,18 +12,18 @@ from mpi4py import MPI
 from numpy.typing import ArrayLike
 
 from ..errors import InputError
-from ..io import checkpoint_writer
+from ..io.checkpoint_writer import Snapshot
 from ..io.openpmd_writer import write as write_particles
+from ..io.provenance import about
+from ..io.writer_ranks import writers_of
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.window import Window
 from ..parallel import together, world_by_default
 from ..particles.particles import Particles
-from ..results.run_results import Results
 from ..run.clock import Clock
-from ..run.folder import STOP, claimed
+from ..run.life import Run
 from ..run.log import Log
-from ..run.stop import Stop
 from ..scene.scene import Scene
 from ..stages.poisson import SolveReport
 from ..units import quantity
@@ -31,20 +31,22 @@ from .beam_tables import Diagnostic
 from .course import Reference
 from .field_functions import FieldFunction
 from .leapfrog import synchronized
-from .output import Recorder
+from .particle_recorder import ParticleRecorder
 from .records import Record
-from .restart import about, load, snapshot, writers_of
+from .restart import load, snapshot
 from .setup import Setup
 from .state import State
 from .step import advance, begin, with_momenta
 
 
-class Simulation:
+class Simulation(Run[State]):
     """A scene in motion on the ranks of a communicator. Collective to make: the first field is solved then.
 
     The attributes are those of the present state; they are values, and a later step makes new ones. `run` writes what the scene
     asks for; `advance`, and a loop over the simulation, write nothing.
     """
+
+    scene: Scene
 
     @world_by_default
     def __init__(self, comm: MPI.Comm, scene: Scene, fields: Sequence[FieldFunction] = ()) -> None:
@@ -67,8 +69,6 @@ class Simulation:
         self.state, self._setup = state, setup
         self._callbacks: list[Callable[[Simulation], None]] = []
         self._diagnostics: dict[str, Diagnostic] = {}
-        self._begun = False  # whether the files of this run are there
-        self._recorded = False  # whether they hold the present state already
 
     @classmethod
     @world_by_default
@@ -128,49 +128,16 @@ class Simulation:
                 callback(self)
         return self.state
 
-    def __iter__(self) -> Iterator[State]:
-        """Step by step to the last one of the scene; yields the state after each. Collective."""
-        while self.step < self.scene.schedule.last_step:
-            yield self.advance()
+    @property
+    def is_over(self) -> bool:
+        """Whether the last step of the scene is taken."""
+        return self.step >= self.scene.schedule.last_step
 
-    def run(self, walltime: float | None = None, log: Log = "print") -> Results:
-        """Go on to the last step of the scene, write what it asks for, and return it, to be read back. Collective.
+    def _recorder(self, log: Log) -> ParticleRecorder:
+        return ParticleRecorder(self.state, self._setup, self._begun, self._diagnostics, log)
 
-        When a signal came or `walltime` (s since the start of the process) is nearly over, the run stops after a checkpoint,
-        and `stopped` of what is returned says why. A line per step and warnings are printed, given to Python's `logging` (as
-        "amrpic.run"), or left out by `log="silent"`.
-        """
-        return Results(self.comm, self.scene.directory, self._run(walltime, log))
-
-    def _run(self, walltime: float | None, log: Log) -> str | None:
-        with (
-            claimed(self.comm, self.scene),
-            Stop(self.comm, walltime, self.scene.directory / STOP) as stop,
-            Recorder(self.comm, self.state, self._setup, self._begun, self._diagnostics, log) as record,
-        ):
-            self._begun = True
-            if not self._recorded:
-                self._record(record)
-            while self.step < self.scene.schedule.last_step:
-                if (reason := stop.reason()) is not None:
-                    self.state = synchronized(self.state, self._setup)
-                    record.stopped(self.state, reason)
-                    return reason
-                self.advance()
-                self._record(record)
-            self.state = synchronized(self.state, self._setup)
-            with self.clock("output"):
-                return record.end(self.state, stop.reason)
-
-    def _record(self, record: Recorder) -> None:
-        record.state(self.state, self.remarks)
-        self._recorded = True
-
-    def checkpoint(self, path: str | Path) -> None:
-        """Write the whole state into the new directory `path`. Collective; OutputError on all ranks."""
-        state = synchronized(self.state, self._setup)
-        content = snapshot(state, self._setup)
-        checkpoint_writer.write(self.comm, Path(path), content, writers_of(self.scene))
+    def _snapshot(self) -> Snapshot:
+        return snapshot(synchronized(self.state, self._setup), self._setup)
 
     def write_particles(self, path: str | Path) -> None:
         """Write all particles into the openPMD file `path` for BeamPhysics and others, in the laboratory.

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import Any
+
+from ..errors import InputError
 
 
 def differences(one: Any, other: Any, path: str = "") -> Iterator[tuple[str, Any, Any]]:
@@ -20,3 +23,17 @@ def differences(one: Any, other: Any, path: str = "") -> Iterator[tuple[str, Any
 
 def _of_sections(members: list[Any]) -> bool:
     return all(isinstance(member, dict) for member in members)
+
+
+def require_same(name: str, path: Path, changed: Iterable[tuple[str, Any, Any]]) -> None:
+    """Raise InputError for the first of the `differences` between the scene `name` and that of a checkpoint, if any."""
+    for key, value, before in changed:
+        raise InputError(
+            f"{name} cannot go on from checkpoint {path}: {key} is {setting_text(value)} instead of {setting_text(before)}; "
+            "restore that, or start afresh in another folder"
+        )
+
+
+def setting_text(value: Any) -> str:
+    """Return a setting as sentences have it."""
+    return "not given" if value is None else str(value)

@@ -13,13 +13,13 @@ import numpy as np
 
 from amrpic import _native
 from amrpic.io.checkpoint_writer import loads
-from amrpic.io.writer_ranks import Load
+from amrpic.io.writer_ranks import Load, writers_of
 from amrpic.mesh.boxes import Array
 from amrpic.mesh.hierarchy import Hierarchy
 from amrpic.parallel import Traffic
 from amrpic.pic.flight import deposits_meanwhile
 from amrpic.pic.memory import Share, cells_below, placing_bytes, rank_memory
-from amrpic.pic.restart import BEFORE, FIELDS, LAGGING_BYTES, ROW_BYTES, writers_of
+from amrpic.pic.restart import BEFORE, FIELDS, LAGGING_BYTES, ROW_BYTES
 from amrpic.scaling.measure import cells_of_ranks
 from amrpic.scene.motion import Leapfrog, RandomWalk
 from amrpic.scene.scene import Scene

@@ -38,7 +38,7 @@ import ctypes, json, sys
 from mpi4py import MPI
 import amrpic
 from amrpic.parallel import traffic
-from amrpic.pic.output import Recorder
+from amrpic.run.recorder import Recorder
 
 class Counts(ctypes.Structure):
     _fields_ = [(name, ctypes.c_long) for name in ("calls", "all_to_all", "pickled", "most_bytes")]
@@ -47,9 +47,9 @@ library = ctypes.CDLL(None)
 library.collectives_begin.restype = ctypes.POINTER(Counts)
 steps, before = [], None
 
-def state(self, state, remarks, record=Recorder.state):
+def state(self, state, record=Recorder.state):
     global before
-    record(self, state, remarks)
+    record(self, state)
     if before is not None:
         counts, ours = before
         found = {name: getattr(counts.contents, name) for name, _ in Counts._fields_}

@@ -1,4 +1,4 @@
-"""Points with what they carry, as VTKHDF PolyData, which ParaView and VTK open."""
+"""Points with what they carry, as VTKHDF PolyData, which ParaView and VTK open: written, and read at once."""
 
 from __future__ import annotations
 
@@ -10,10 +10,14 @@ import h5py
 import numpy as np
 from mpi4py import MPI
 
+from ..errors import InputError
 from . import shared_file
+from .openpmd_files import UNREADABLE
 from .provenance import Provenance
+from .shared_file import require_parts
+from .vetting import require_readable
 from .vtkhdf_writer import VTKHDF_VERSION
-from .writer_ranks import BY_SIZE, Attempts, Writers
+from .writer_ranks import BY_SIZE, Attempts, Writers, one_line
 
 KIND = "points"
 PLACES, VALUES = "VTKHDF/Points", "VTKHDF/PointData/{}"
@@ -40,6 +44,18 @@ def write(
     arrays |= {VALUES.format(name): np.ascontiguousarray(column) for name, column in values.items()}
     describe = partial(_describe, units=units, step=step, time=time, about=about)
     shared_file.write(comm, Path(path), arrays, describe, attempts, writers)
+
+
+def read(path: Path) -> dict[str, np.ndarray]:
+    """Return the positions and values of all points in a file, by names. Raises InputError."""
+    require_readable(path)
+    try:
+        with h5py.File(path, "r", locking=False) as h5:
+            require_parts(h5, path.parent)
+            values = {name: column[()] for name, column in h5[VALUES.format("")].items()}
+            return {"position": h5[PLACES][()], **values}
+    except UNREADABLE as error:
+        raise InputError(f"{path} cannot be read: {one_line(error)}; give a points_*.vtkhdf that a run wrote") from None
 
 
 def _describe(h5: h5py.File, units: Mapping[str, str], step: int, time: float, about: Provenance) -> None:

@@ -170,10 +170,11 @@ class OgdenSection(Section):
 class MpmOutput(Files):
     """What a run writes."""
 
-    write: list[Literal["checkpoint", "points", "fields", "series", "pictures"]] = Field(
+    write: list[Literal["checkpoint", "points", "fields", "series", "pictures", "report"]] = Field(
         default=["checkpoint", "points", "fields", "series", "pictures"],
         description="The kinds of output wanted: points with what they carry, and fields, which are means over elements, as "
-        "VTKHDF; a table with a row per step; pictures of the last state.",
+        "VTKHDF; a table with a row per step; pictures of the last state; report is a page for a browser with all that is "
+        "known of the run, made at its end.",
     )
     fields_every: int = Field(default=0, ge=0, description="Steps between field files; 0 writes the last one only.")
     points_every: int = Field(default=0, ge=0, description="Steps between files of points; 0 writes the last one only.")

@@ -14,7 +14,7 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from ..io import openpmd_reader, particle_reader, time_series
+from ..io import openpmd_reader, particle_reader, points_writer, time_series
 from ..mesh.domain import AXES
 from ..mesh.field import Field, VectorField
 from ..mesh.periods import nearest
@@ -85,13 +85,11 @@ def compare(first: Path, second: Path) -> Comparison:
     scenes = [time_series.scene_of(run.folder / SERIES) for run in runs]
     parts: dict[str, list[Difference]] = {"series": list(_series(tables[0], tables[1], max(map(_charge, runs))))}
     remarks: list[str] = []
-    if any(run.of_points for run in runs):
-        remarks.append("of material points the series are compared, not the files of points and fields")
-        return Comparison(list(differences(scenes[0], scenes[1])), parts, list(_speed(*tables)), remarks)
     for name, part in (
         ("beam", _beam),
         ("fields", partial(_fields, remarks=remarks)),
         ("particles", _particles),
+        ("points", _points),
         ("losses", _losses),
     ):
         with contextlib.suppress(_Missing):
@@ -242,6 +240,8 @@ def _scalar(field: Field | VectorField) -> Field:
 
 def _particles(one: Results, other: Results) -> Iterator[Difference]:
     """Compare the particles of the latest step that both have, by their numbers."""
+    if one.of_points or other.of_points:
+        raise _Missing
     dumps = [run._dumps(*PARTICLES) for run in (one, other)]
     step = _latest_common(dumps)
     dumped, others = (particle_reader.read(held[step]) for held in dumps)
@@ -261,6 +261,20 @@ def _particles(one: Results, other: Results) -> Iterator[Difference]:
         spread = _spread(mine, what)
         worst = float(np.abs(apart).max(initial=0.0))
         yield Difference(f"{what} over its rms", worst / spread if spread > 0 else worst, f"at step {step}")
+
+
+def _points(one: Results, other: Results) -> Iterator[Difference]:
+    """Compare the material points of the latest step that both have, by their numbers."""
+    dumps = [run._dumps("points_*.vtkhdf") for run in (one, other)]
+    step = _latest_common(dumps)
+    mine, theirs = (points_writer.read(paths[step]) for paths in dumps)
+    _, here, there = np.intersect1d(mine["id"], theirs["id"], return_indices=True)
+    alone = len(mine["id"]) + len(theirs["id"]) - 2 * len(here)
+    yield Difference("points", math.inf if alone else 0.0, f"{alone} of one run alone" if alone else f"at step {step}")
+    for name in mine:
+        if name in theirs and name != "id":
+            a, b = (values[name][rows].astype(float).ravel() for values, rows in ((mine, here), (theirs, there)))
+            yield Difference(f"{name} of points", _relative(a, b)[0], f"at step {step}")
 
 
 def _losses(one: Results, other: Results) -> Iterator[Difference]:

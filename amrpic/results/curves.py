@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from ..mesh.domain import FACES
 from ..mesh.pictures import divisor
 from ..units import prefix_of
 
@@ -39,7 +40,17 @@ BEAM = (
     Panel("energy", "J", ("kinetic_energy", "potential_energy")),
     Panel("lost particles", "", ("lost_particles",)),
 )
-SOLVER = (Panel("cycles", "", ("cycles",)), Panel("residual", "", ("residual",), logarithmic=True))
+BODY = (
+    Panel("force of a face", "N", [f"force_{face}" for face in FACES]),
+    Panel("energy", "J", ("work", "stored", "dissipated")),
+    Panel("det F", "", ("j_min", "j_max")),
+    Panel("damage", "", ("damage_max",)),
+)
+SOLVER = (
+    Panel("cycles", "", ("cycles",)),
+    Panel("turns and iterations", "", ("turns", "newton_iterations", "cg_iterations")),
+    Panel("residual", "", ("residual",), logarithmic=True),
+)
 
 
 def draw(table: Table, panels: Sequence[Panel], against: str = "step", unit: str = "") -> Figure:
@@ -72,6 +83,6 @@ def draw(table: Table, panels: Sequence[Panel], against: str = "step", unit: str
         if len(names) > 1:
             axis.legend(fontsize="x-small", ncols=4)
     axes[-1].set_xlabel(label)
-    if not unit:
+    if along.dtype.kind == "i":
         axes[-1].xaxis.set_major_locator(MaxNLocator(integer=True))
     return figure

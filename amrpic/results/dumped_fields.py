@@ -21,6 +21,8 @@ from ..mesh.window import AT_REST, Window
 from ..parallel import together
 from ..scene.scene import Scene
 
+SIZES_OF_POINTS = 8, 2  # of boxes, and their blocking factor
+
 
 def is_of_points(scene: Mapping[str, Any]) -> bool:
     """Whether the scene of a run, as a file holds it, is of material points."""
@@ -31,7 +33,7 @@ def scene_of(data: Mapping[str, Any], path: Path) -> Scene:
     """Return the scene of what a path of a run says of it. Raises InputError if that is not of particles in cells."""
     if is_of_points(data):
         raise InputError(
-            f"{path} is of material points, whose scene and fields are not read back; look at the tables, or use amrpic plot"
+            f"{path} is of material points, whose scene is not read back; look at the tables and fields, or use amrpic plot"
         )
     return Scene.from_dict(data, source=f"the scene in {path}")
 
@@ -57,13 +59,20 @@ class DumpedFields(Mapping[str, Field | VectorField]):
     def read(cls, comm: MPI.Comm, path: Path) -> DumpedFields:
         """Return the fields of a dump, on the ranks of a communicator. Collective; InputError on all ranks."""
         with together(comm, InputError), open_dump(path) as dump:
-            scene = scene_of(json.loads(dump.scene_text), path)
+            data = json.loads(dump.scene_text)
+            if is_of_points(data):
+                corners = dump.lower.tolist(), dump.upper.tolist()
+                mesh, sizes = Domain(*corners, data["domain"]["cells"], "dirichlet"), SIZES_OF_POINTS
+                holds: Holds = "points"
+            else:
+                scene = scene_of(data, path)
+                mesh, holds = scene.domain.value, scene.solver.potential_holds
+                sizes = scene.refinement.max_grid_size, scene.refinement.blocking_factor
             step, time, units = dump.step, dump.time, dict(dump.units)
             boxes = [level.boxes for level in dump.levels[1:]]
-            mesh, window = scene.domain.value, dump.window
-        sizes = scene.refinement.max_grid_size, scene.refinement.blocking_factor
+            window = dump.window
         hierarchy = Hierarchy(comm, window.shown(mesh), boxes, *sizes)
-        return cls(path, step, time, hierarchy, units, scene.solver.potential_holds, mesh, window)
+        return cls(path, step, time, hierarchy, units, holds, mesh, window)
 
     @property
     def at_rest(self) -> DumpedFields:

@@ -22,11 +22,13 @@ from ..io.run_status import RunStatus
 from ..io.writer_ranks import one_line
 from ..mesh.domain import AXES
 from ..mesh.pictures import png
+from ..scene import toml
 from ..scene.scene import Scene
 from ..units import ELEMENTARY_CHARGE, quantity
 from ..view import draw, phase_space
+from ..view.views import overview_of
 from . import curves
-from .dumped_fields import scene_of
+from .dumped_fields import is_of_points, scene_of
 from .run_results import SERIES, rows_of
 
 FILE = "report.html"
@@ -69,47 +71,63 @@ def make(folder: Path) -> str:
     """Return the report of a run as HTML. Raises InputError if its folder holds no series."""
     path = folder / SERIES
     series, about = rows_of(folder), time_series.about_of(path)
-    scene = scene_of(about["scene"], path)
+    data = about["scene"]
     status = None
     with contextlib.suppress(InputError):
         status = RunStatus.read(folder)
+    name, remarks = str(data["name"]), list(status.warnings if status else [])
+    if is_of_points(data):
+        summary = f"{name}: material points"
+        of_method = [("Body", _image(curves.draw(series, curves.BODY, "load"), "body"))]
+    else:
+        scene = scene_of(data, path)
+        summary, remarks = scene.summary(), [*remarks, *scene.remarks()]
+        of_method = [("Beam", _beam(folder, series, scene))]
     sections = [
-        ("Pictures", _pictures(folder, int(series["particles"][-1]))),
-        ("Beam", _beam(folder, series, scene)),
+        ("Pictures", _pictures(folder, int(_last(series, "particles")))),
+        *of_method,
         ("Solver", _solver(folder, series)),
         ("Time", _time(series, status)),
-        ("Remarks", _remarks(scene, status)),
+        ("Remarks", _remarks(remarks, status)),
         (
             "Scene",
-            f"<details><summary>{escape(scene.summary())}</summary><pre>{escape(scene.to_toml())}</pre></details>",
+            f"<details><summary>{escape(summary)}</summary><pre>{escape(toml.dumps(data))}</pre></details>",
         ),
     ]
     body = "".join(f"<section><h2>{name}</h2>{content}</section>" for name, content in sections if content)
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(scene.name)}</title><style>{STYLE}</style></head>"
-        f"<body><header><h1>{escape(scene.name)}</h1>{_head(series, about, status)}</header>{body}"
+        f"<title>{escape(name)}</title><style>{STYLE}</style></head>"
+        f"<body><header><h1>{escape(name)}</h1>{_head(series, about, status)}</header>{body}"
         f"<footer><p><small>Made by amrpic {version('amrpic')}.</small></p></footer></body></html>\n"
     )
 
 
 def _head(series: Table, about: dict[str, Any], status: RunStatus | None) -> str:
     last = series[-1]
-    levels = [int(last[name]) for name in _cells(series) if last[name]]
-    rows = [
-        ("step", int(last["step"])),
-        ("simulated time", quantity(float(last["time"]), "s")),
-        ("particles", f"{last['particles']}, {last['lost_particles']} lost"),
-        ("mesh", f"{len(levels)} levels, {sum(levels)} cells"),
-        ("amrpic", f"{about['version']}, seed {about['seed']}"),
-    ]  # fmt: skip
+    rows: list[tuple[str, object]] = [("step", int(last["step"]))]
+    if is_of_points(about["scene"]):
+        rows += [("load", f"{100 * last['load']:.4g} %"), ("points", last["points"])]
+    else:
+        levels = [int(last[name]) for name in _cells(series) if last[name]]
+        rows += [
+            ("simulated time", quantity(float(last["time"]), "s")),
+            ("particles", f"{last['particles']}, {last['lost_particles']} lost"),
+            ("mesh", f"{len(levels)} levels, {sum(levels)} cells"),
+        ]
+    rows += [("amrpic", f"{about['version']}, seed {about['seed']}")]
     if status is None:
         return _wide(table((), rows))
     rows[0] = ("step", f"{status.step} of {status.of}")
     rows += [("ranks", f"{status.ranks} on {status.host}"), ("from", status.started), ("to", status.updated)]
     why = f": {status.why}" if status.why else ""
     return f'<p class="{status.state}"><b>{status.state}</b>{escape(why)}</p>{_wide(table((), rows))}'
+
+
+def _last(series: Table, column: str) -> float:
+    """Return the last value of a column, 0 if the series has none."""
+    return float(series[column][-1]) if column in (series.dtype.names or ()) else 0.0
 
 
 def _cells(series: Table) -> list[str]:
@@ -120,7 +138,7 @@ def _pictures(folder: Path, particles: int) -> str:
     """Return pictures of the newest dumps; those that the run drew itself if there are no fields to draw."""
     figures = []
     with contextlib.suppress(InputError), open_dump(folder) as dump:
-        figures += [_image(figure, name) for name, figure in draw.figures(dump)]
+        figures += [_image(figure, name) for name, figure in draw.figures(dump, overview_of(dump))]
     if not figures:
         newest = max((path.name[:15] for path in folder.glob("fields_*.png")), default="")
         drawn = sorted(folder.glob(f"{newest}*.png")) if newest else []
@@ -174,10 +192,12 @@ def _solver(folder: Path, series: Table) -> str:
 
 
 def _time(series: Table, status: RunStatus | None) -> str:
-    stages = [name for name in series.dtype.names or () if name.startswith("seconds_")]
+    columns = series.dtype.names or ()
+    stages = [name for name in columns if name.startswith("seconds_")]
+    imbalances = [name for name in columns if name.startswith("imbalance_")]
     panels = [
         curves.Panel("time of a step", "s", stages, stacked=True),
-        curves.Panel("most of a rank / mean", "", ("imbalance_cells", "imbalance_particles")),
+        curves.Panel("most of a rank / mean", "", imbalances),
     ]
     total = sum(series[name].sum() for name in stages) or 1.0
     rows = [
@@ -190,8 +210,11 @@ def _time(series: Table, status: RunStatus | None) -> str:
         ("a step after the first, mean", quantity(float(of_steps.mean()), "s")),
         ("memory of the largest rank", f"{series['memory'].max() / 2**20:.0f} MiB"),
         *(
-            (f"{what}: most of a rank / mean", f"{series[name].max():.3f} at most, {series[name].mean():.3f} in the mean")
-            for what, name in (("cells", "imbalance_cells"), ("particles", "imbalance_particles"))
+            (
+                f"{name.removeprefix('imbalance_')}: most of a rank / mean",
+                f"{series[name].max():.3f} at most, {series[name].mean():.3f} in the mean",
+            )
+            for name in imbalances
         ),
     ]  # fmt: skip
     stages_table = table(("stage", "time on the slowest rank", "share"), rows)
@@ -200,9 +223,8 @@ def _time(series: Table, status: RunStatus | None) -> str:
     )
 
 
-def _remarks(scene: Scene, status: RunStatus | None) -> str:
-    warnings = list(dict.fromkeys([*(status.warnings if status else []), *scene.remarks()]))
-    out = "".join(f'<p class="warning">{escape(text)}</p>' for text in warnings)
+def _remarks(remarks: list[str], status: RunStatus | None) -> str:
+    out = "".join(f'<p class="warning">{escape(text)}</p>' for text in dict.fromkeys(remarks))
     out += "".join(f"<p>{escape(text)}</p>" for text in (status.notes if status else []))
     return out or "<p>None.</p>"
 

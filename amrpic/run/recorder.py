@@ -11,7 +11,7 @@ from typing import Generic, NamedTuple, Protocol, Self, TypeVar
 from mpi4py import MPI
 
 from .. import isa
-from ..errors import AmrpicError, OutputError
+from ..errors import AmrpicError, InputError, OutputError
 from ..io import checkpoint_writer, vtkhdf_writer
 from ..io.checkpoint_writer import Snapshot
 from ..io.field_reader import LiveDump
@@ -218,7 +218,10 @@ class Recorder(ABC, Generic[StateT]):
                 if self._comm.rank == 0:
                     from ..results import report  # matplotlib takes long to import, and no other rank needs it
 
-                    report.write(self._scene.directory)
+                    try:
+                        report.write(self._scene.directory)
+                    except InputError as error:  # as of a series without rows, after a restart from the last step
+                        self._log.warn(str(error))
 
     def _seconds(self) -> float:
         """Return the time since the last row, s."""

@@ -8,8 +8,8 @@ from typing import Any
 from mpi4py import MPI
 
 from ..errors import InputError
-from ..io.checkpoint_manifest import UnreadableCheckpoint
-from ..io.checkpoint_reader import candidates
+from ..io.checkpoint import UnreadableCheckpoint
+from ..io.checkpoint_folder import candidates
 from ..parallel import together
 from ..run.folder import prepare
 from ..run.life import Run

@@ -68,15 +68,15 @@ class Hdf5Writer:
     def __exit__(self, *error: object) -> None:
         self.close()
 
-    def close(self, sealed: bool = True) -> None:
-        """`sealed`: with the checksum, for which the file is read again, from memory as a rule."""
+    def close(self) -> None:
+        """For the checksum the file is read again, from memory as a rule."""
         with self._file:
             try:
                 self.h5.close()
             except (OSError, RuntimeError):
                 if self._file.error is None:
                     raise
-            if sealed and self._file.error is None:
+            if self._file.error is None:
                 self._file.seek(0)
                 digest = hashlib.file_digest(self._file, "sha256").hexdigest()
                 self._file.seek(0, os.SEEK_END)
@@ -144,3 +144,13 @@ def require_seal(path: Path) -> None:
         raise ValueError("the checksum at its end is missing: it is cut short, or another program or version wrote it")
     if seal[len(SEAL) :] != total.hexdigest().encode():
         raise ValueError("its checksum is wrong: bytes of it have changed")
+
+
+def seal_of(path: Path) -> str:
+    """Return the checksum at the end of a file that `Hdf5Writer` sealed. Raises ValueError if there is none, and OSError."""
+    with path.open("rb") as file:
+        file.seek(max(file.seek(0, os.SEEK_END) - SEAL_BYTES, 0))
+        seal = file.read()
+    if not seal.startswith(SEAL):
+        raise ValueError(f"the checksum at the end of {path.name} is missing")
+    return seal[len(SEAL) :].decode(errors="replace")

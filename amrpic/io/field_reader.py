@@ -21,7 +21,7 @@ from ..mesh.hierarchy import Hierarchy
 from ..mesh.window import AT_REST, Window, window_of
 from ..particles.frame import Frame
 from ..units import SPEED_OF_LIGHT
-from .checkpoint_manifest import MANIFEST, decode
+from .checkpoint import is_checkpoint, open_vetted
 from .openpmd_files import UNREADABLE
 from .shared_file import require_parts
 from .vetting import require_readable
@@ -123,22 +123,18 @@ class CheckpointDump(Dump):
 
     def __init__(self, path: Path) -> None:
         self.path = Path(path)
-        manifest = decode(self.path)
-        header = manifest.header
-        self._parts = [self._open_part(part.file) for part in manifest.parts]
+        self._h5, contents = open_vetted(self.path)
+        header = self._header = contents.header
         self.step, self.time = header.step, header.time
         self.version, self.seed = header.about.version, header.about.seed
         self.window = window_of(header.extra.get("course", {}).get("window", {}))
         domain = Domain(*(header.domain[key] for key in ("lower", "upper", "cells")))
         spacing, shown = domain.spacing, self.window.shown(domain)
         self.lower, self.upper = np.array(shown.lower), np.array(shown.upper)  # m
-        places = [manifest.places(level) for level in range(len(header.boxes))]
-        self._part_of = [part for part, _ in places]
         self.levels = [
-            Level(spacing / 2**level, boxes, starts)
-            for level, (boxes, (_, starts)) in enumerate(zip(header.boxes, places, strict=True))
+            Level(spacing / 2**level, boxes, contents.starts(level)) for level, boxes in enumerate(header.boxes)
         ]
-        self._stored = set(manifest.fields)
+        self._stored = set(contents.fields)
         members = header.extra.get("frames", {}).get("members", [])
         self._beta = Frame(**members[0]).beta if len(members) == 1 else (0.0, 0.0, 0.0)
         has = {"E": "efield_x" in self._stored, "B": "bfield_x" in self._stored or any(self._beta)}
@@ -147,20 +143,9 @@ class CheckpointDump(Dump):
     def is_vector(self, name: str) -> bool:
         return name in ("E", "B")
 
-    def _open_part(self, name: str) -> h5py.File:
-        require_readable(self.path / name)
-        try:
-            return h5py.File(self.path / name, "r", locking=False)
-        except OSError as error:
-            raise InputError(f"{self.path / name} cannot be read: {one_line(error)}; draw another checkpoint") from None
-
-    def close(self) -> None:
-        for part in self._parts:
-            part.close()
-
     @property
     def scene_text(self) -> str:
-        return decode(self.path).header.about.scene_text
+        return self._header.about.scene_text
 
     def _values(self, name: str, level: int, box: int | np.integer[Any]) -> Array:
         if self.is_vector(name):
@@ -171,8 +156,7 @@ class CheckpointDump(Dump):
                 return np.cross(self._beta, electric) / SPEED_OF_LIGHT
             return self._vector("efield" if name == "E" else "bfield", "", level, box)
         cells, start = self._size(level, box), int(self.levels[level].starts[box])
-        rows = self._parts[self._part_of[level][box]][f"level{level}/{name}"]
-        return rows[start : start + int(np.prod(cells))].reshape(cells, order="F")
+        return self._h5[f"level{level}/{name}"][start : start + int(np.prod(cells))].reshape(cells, order="F")
 
     def _vector(self, name: str, suffix: str, level: int, box: int | np.integer[Any]) -> Array:
         return np.stack([self._values(f"{name}_{axis}{suffix}", level, box) for axis in AXES], axis=-1)
@@ -214,7 +198,7 @@ def open_dump(path: Path) -> Dump:
     Raises InputError if there is none.
     """
     path = Path(path)
-    if (path / MANIFEST).exists():
+    if is_checkpoint(path):
         return CheckpointDump(path)
     if not path.is_dir():
         return Dump(path)

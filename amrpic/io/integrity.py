@@ -7,13 +7,8 @@ import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import h5py
-
 from ..errors import InputError
-from . import checkpoint_reader, time_series, vtkhdf_writer
-from .atomic_files import require_seal
-from .checkpoint_manifest import MANIFEST
-from .shared_file import PARTS, require_parts
+from . import checkpoint, shared_file, time_series, vtkhdf_writer
 from .writer_ranks import one_line
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -64,22 +59,9 @@ def _problem(path: Path) -> str | None:
 def _check_of(path: Path) -> Callable[[Path], object] | None:
     """Return what checks a path, None if nothing does."""
     if path.is_dir():
-        is_checkpoint = re.fullmatch(r"checkpoint_\d{8,}", path.name) or (path / MANIFEST).exists()
-        return checkpoint_reader.require_whole if is_checkpoint else None
+        named = re.fullmatch(r"checkpoint_\d{8,}", path.name)
+        return checkpoint.require_whole if named or checkpoint.is_checkpoint(path) else None
     return next((check for pattern, check in CHECKS.items() if re.fullmatch(pattern, path.name)), None)
-
-
-def _require_hdf5(path: Path) -> None:
-    """Raise an exception if a file or one of those whose values it shows is not as it was written."""
-    require_seal(path)
-    with h5py.File(path, "r", locking=False) as h5:
-        require_parts(h5, path.parent)
-        parts = [path.parent / name for name in h5[PARTS].asstr()[:]] if PARTS in h5 else []
-    for part in parts:
-        try:
-            _require_hdf5(part)
-        except (OSError, ValueError) as error:
-            raise ValueError(f"of its part {part.name}, {one_line(error)}") from None
 
 
 def _require_picture(path: Path) -> None:
@@ -106,7 +88,7 @@ def _require_listed(path: Path) -> None:
 
 
 CHECKS: dict[str, Callable[[Path], object]] = {  # by the name of a file
-    r".+\.(vtkhdf|h5|part\d{4,})": _require_hdf5,
+    r".+\.(vtkhdf|h5|part\d{4,})": shared_file.require_whole,
     r".+\.csv|(series|residuals|beam|slices|losses|own_.+)\.json": time_series.require_whole,
     r".+\.png": _require_picture,
     r".+\.vtkhdf\.series": _require_listed,

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import h5py
 import numpy as np
 
 from ..errors import InputError
@@ -16,8 +15,7 @@ from ..particles.particles import Particles, concatenate
 from ..particles.species import SpeciesTable
 from ..scene.scene import Scene
 from . import openpmd_reader
-from .checkpoint_manifest import MANIFEST, decode
-from .vetting import require_readable
+from .checkpoint import is_checkpoint, open_vetted
 from .writer_ranks import one_line
 
 
@@ -39,7 +37,7 @@ def read(path: Path) -> ParticleDump:
     Serial. Raises InputError if there are none. An openPMD file knows species, but no bunches.
     """
     path = Path(path)
-    if (path / MANIFEST).exists():
+    if is_checkpoint(path):
         return _of_checkpoint(path)
     if not path.is_dir():
         return _of_openpmd(path)
@@ -53,17 +51,15 @@ def read(path: Path) -> ParticleDump:
 
 
 def _of_checkpoint(path: Path) -> ParticleDump:
-    manifest = decode(path)
-    header, columns = manifest.header, ("position", "momentum", "weight", "id")
-    try:
-        parts = []
-        for part in manifest.parts:
-            require_readable(path / part.file)
-            with h5py.File(path / part.file, "r", locking=False) as h5:
-                parts.append([h5[f"particles/{column}"][:] for column in columns])
-    except (OSError, KeyError) as error:
-        raise InputError(f"checkpoint {path} cannot be read: {one_line(error)}; draw another one") from None
-    position, momentum, weight, ids = (np.concatenate(column) for column in zip(*parts, strict=True))
+    h5, contents = open_vetted(path)
+    header = contents.header
+    with h5:
+        try:
+            position, momentum, weight, ids = (
+                h5[f"particles/{column}"][:] for column in ("position", "momentum", "weight", "id")
+            )
+        except (OSError, KeyError) as error:
+            raise InputError(f"checkpoint {path} cannot be read: {one_line(error)}; draw another one") from None
     table = SpeciesTable.from_dict(header.extra["species"])
     scene = Scene.from_dict(header.about.scene, source=f"the scene in {path}")
     bunches = [NamedBunches(bunch.name, bunch.copies, bunch.number) for bunch in scene.bunches]

@@ -21,12 +21,24 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from ..errors import OutputError
-from .atomic_files import TEMPORARY, Hdf5Writer, publish, remove, temporary
-from .writer_ranks import Attempts, Rows, Writers, collect, collect_rows, group_of, merge, row_bytes, said_to_first
+from .atomic_files import TEMPORARY, Hdf5Writer, publish, remove, require_seal, seal_of, temporary
+from .writer_ranks import (
+    Attempts,
+    Rows,
+    Writers,
+    collect,
+    collect_rows,
+    group_of,
+    merge,
+    one_line,
+    row_bytes,
+    said_to_first,
+)
 
 Array = NDArray[Any]
 
-PARTS, BYTES = "amrpic/parts", "amrpic/part_bytes"  # datasets: the names of the parts beside a file, and their sizes
+# Datasets: the names of the parts beside a file, their sizes, and the checksums at their ends.
+PARTS, BYTES, SEALS = "amrpic/parts", "amrpic/part_bytes", "amrpic/part_sha256"
 
 
 class Table:
@@ -95,22 +107,48 @@ def part_of(path: Path, index: int) -> Path:
 
 
 def name_parts(h5: h5py.File, folder: Path, parts: Sequence[Path]) -> None:
-    """Note the files whose values a file in the folder shows, and their sizes, for `require_parts`."""
+    """Note the files whose values a file in the folder shows, their sizes and checksums, for `require_parts`."""
     h5[PARTS] = [os.path.relpath(part, folder) for part in parts]
     h5[BYTES] = np.array([part.stat().st_size for part in parts], dtype=np.int64)
+    h5[SEALS] = [seal_of(part) for part in parts]
+
+
+def parts_of(h5: h5py.File) -> list[str]:
+    """Return the names of the files whose values a file shows."""
+    return h5[PARTS].asstr()[:].tolist() if PARTS in h5 else []
 
 
 def require_parts(h5: h5py.File, folder: Path) -> None:
     """Raise ValueError if a part of a file is not whole in the folder: HDF5 would silently give nan for what is not there."""
-    if PARTS not in h5:
-        return
-    for name, size in zip(h5[PARTS].asstr()[:], h5[BYTES][:].tolist(), strict=True):
+    names = parts_of(h5)
+    seals = h5[SEALS].asstr()[:] if SEALS in h5 else [""] * len(names)
+    for name, size, seal in zip(names, h5[BYTES][:].tolist() if names else (), seals, strict=True):
         try:
-            found = (folder / name).stat().st_size
+            actual = (folder / name).stat().st_size
         except OSError:
             raise ValueError(f"its part {name} is not beside it") from None
-        if found != size:
-            raise ValueError(f"its part {name} has {found} bytes instead of {size}")
+        if actual != size:
+            raise ValueError(f"its part {name} has {actual} bytes instead of {size}")
+        if seal and seal_of(folder / name) != seal:
+            raise ValueError(f"its part {name} is another one, or changed since")
+
+
+def require_whole(path: Path) -> None:
+    """Raise an exception if a file or one of those whose values it shows is not as it was written."""
+    require_seal(path)
+    with h5py.File(path, "r", locking=False) as h5:
+        require_parts(h5, path.parent)
+        parts = parts_of(h5)
+    for part in parts:
+        require_sealed_part(path.parent / part)
+
+
+def require_sealed_part(path: Path) -> None:
+    """Raise OSError or ValueError, which names it, if a part is not as it was written."""
+    try:
+        require_whole(path)
+    except (OSError, ValueError) as error:
+        raise ValueError(f"of its part {path.name}, {one_line(error)}") from None
 
 
 def write_rows(
@@ -119,11 +157,10 @@ def write_rows(
     arrays: Mapping[str, Rows],
     writer: Hdf5Writer | None,
     attempts: Attempts,
-    seen: Callable[[Array], object] = lambda piece: None,
 ) -> Array:
     """Write the rows of a group of ranks on its first rank, which has the `writer`; return what `collect_rows` does there.
 
-    Collective over the group. Ranks hand their own rows to `seen` piece by piece, array after array, but those of tables.
+    Collective over the group.
     """
     table = collect_rows(comm, group, list(arrays.values()))
     for (name, rows), counts in zip(arrays.items(), table.T.tolist(), strict=True):
@@ -132,7 +169,7 @@ def write_rows(
         if isinstance(rows, Table):
             merge(comm, group, counts, rows, rows.order, store)
         else:
-            collect(comm, group, counts, rows, store, seen)
+            collect(comm, group, counts, rows, store)
     return table
 
 

@@ -80,31 +80,6 @@ def writers_of(scene: AnyScene) -> Writers:
     return Writers(scene.output.writers, scene.output.part_bytes)
 
 
-@dataclass(frozen=True)
-class Load:
-    """What the writer of a group does for a file."""
-
-    ranks: range  # of the group
-    bytes: int  # that it writes
-    received: int  # bytes that come from other ranks
-    messages: int  # in which they come
-
-
-def writer_loads(groups: Sequence[range], rows: Array, row_bytes: Sequence[int], announced: int) -> list[Load]:
-    """Return what each writer does by `collect_rows`, which announces so many of the arrays, and by `collect`: of `rows`
-    (ranks, arrays), of `row_bytes` each.
-    """
-    sizes, width = rows * np.asarray(row_bytes), np.array([rows_per_piece(n) for n in row_bytes], dtype=np.int64)
-    pieces = -(-rows // np.maximum(width, 1))
-    out = []
-    for group in groups:
-        others = slice(group.start + 1, group.stop)
-        received = int(sizes[others].sum()) + (len(group) - 1) * 8 * announced
-        messages = int(pieces[others].sum()) + len(group) - 1
-        out.append(Load(group, int(sizes[group.start : group.stop].sum()), received, messages))
-    return out
-
-
 def group_of(groups: Sequence[range], rank: int) -> range:
     """Return the group that holds `rank`."""
     return next(group for group in groups if rank in group)
@@ -160,22 +135,19 @@ def collect(
     counts: Sequence[int],
     rows: Rows,
     write: Callable[[int, Array], object],
-    seen: Callable[[Array], object] = lambda piece: None,
 ) -> None:
     """Hand the rows of every rank of `group` to `write(offset, piece)` on its first rank, where they lie in the order of ranks.
 
-    Collective over the group. `counts` are the rows of each of its ranks, which the first one knows. Every rank hands its own
-    rows to `seen(piece)`, in order, in whole pieces but for the last. `write` and `seen` must not raise, because the others
-    wait: see `Attempts`.
+    Collective over the group. `counts` are the rows of each of its ranks, which the first one knows. `write` must not
+    raise, because the others wait: see `Attempts`.
     """
     size = rows_per_piece(row_bytes(rows))
     if comm.rank != group.start:
-        return _send(comm, group.start, _pieces(rows, size), seen)
+        return _send(comm, group.start, _pieces(rows, size))
     lengths = [(rank, n) for rank, count in zip(group[1:], counts[1:], strict=True) for n in _lengths(count, size)]
     arriving = _arriving(comm, lengths, rows, AHEAD)
     offset = 0
     for piece in _pieces(rows, size):  # while the first of the others' are under way
-        seen(piece)
         write(offset, piece)
         offset += len(piece)
     for piece in arriving:
@@ -198,7 +170,7 @@ def merge(
     """
     size = max(1, MERGED_BYTES // (len(group) * row_bytes(rows)))
     if comm.rank != group.start:
-        return _send(comm, group.start, _pieces(rows, size), lambda piece: None)
+        return _send(comm, group.start, _pieces(rows, size))
     others = zip(group[1:], counts[1:], strict=True)
     streams = [_pieces(rows, size)]
     streams += [_arriving(comm, [(rank, n) for n in _lengths(count, size)], rows, 1) for rank, count in others]
@@ -238,13 +210,12 @@ def _lengths(count: int, size: int) -> Iterator[int]:
     return (min(size, count - start) for start in range(0, count, size))
 
 
-def _send(comm: MPI.Comm, to: int, pieces: Iterable[Array], seen: Callable[[Array], object]) -> None:
+def _send(comm: MPI.Comm, to: int, pieces: Iterable[Array]) -> None:
     """Send pieces to a rank, where `_arriving` takes them; the next one is made meanwhile."""
     before = MPI.REQUEST_NULL
     for piece in pieces:
         # Synchronous: what the other rank does not take yet waits here, not in its message buffers.
         request = comm.Issend([piece, MPI.BYTE], to, TAG)
-        seen(piece)
         before.Wait()
         before = request
     before.Wait()

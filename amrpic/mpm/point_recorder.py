@@ -8,7 +8,7 @@ from mpi4py import MPI
 
 from ..errors import AmrpicError, InputError, OutputError, SolverError
 from ..io import points_writer, vtkhdf_writer
-from ..io.checkpoint_writer import Snapshot
+from ..io.checkpoint import Snapshot
 from ..parallel import together
 from ..run.log import Log, line_of
 from ..run.recorder import MeshFields, Recorder

@@ -8,7 +8,7 @@ from typing import Self
 from mpi4py import MPI
 
 from ..errors import InputError
-from ..io.checkpoint_writer import Snapshot
+from ..io.checkpoint import Snapshot
 from ..parallel import world_by_default
 from ..run.life import Run
 from ..run.log import Log

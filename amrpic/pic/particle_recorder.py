@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 
 from ..errors import AmrpicError, SolverError
 from ..io import openpmd_meshes, openpmd_writer, vtkhdf_writer
-from ..io.checkpoint_writer import Snapshot
+from ..io.checkpoint import Snapshot
 from ..io.time_series import Series
 from ..mesh.domain import AXES
 from ..mesh.field import Field, VectorField

@@ -12,15 +12,13 @@ import numpy as np
 from mpi4py import MPI
 
 from ..errors import InputError
-from ..io.checkpoint_manifest import Header
-from ..io.checkpoint_reader import read, read_manifest
-from ..io.checkpoint_writer import Snapshot
+from ..io.checkpoint import Header, Snapshot, read, read_contents
 from ..io.provenance import about
-from ..mesh.domain import FACES, Domain
+from ..mesh.domain import Domain
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.mirror import Mirror
-from ..mesh.window import Window, vector
+from ..mesh.window import vector
 from ..particles.arrays import repeated
 from ..particles.energy_bins import Charge, Frames
 from ..particles.frame import Frame
@@ -30,7 +28,6 @@ from ..scene.differences import differences, require_same, setting_text
 from ..scene.domain import DomainSection
 from ..scene.scene import Scene
 from ..scene.solver_options import SolverOptions
-from ..stages.encounters import Flights
 from ..stages.migrate import migrate
 from ..stages.poisson import SolveReport
 from ..stages.regrid import carry_over
@@ -105,33 +102,30 @@ def load(
     `scene` may replace that of the checkpoint if its cuboid and boundary are the same. On another base, or with boxes of
     other sizes, the mesh is made anew by its rule, and the field solved there from the potential carried over.
     """
-    manifest = read_manifest(comm, path)
-    header = manifest.header
+    contents = read_contents(comm, path)
+    header = contents.header
     if "method" in header.about.scene:
         raise InputError(
             f"checkpoint {path} holds material points; go on from it by a scene of theirs, or start afresh"
         )
-    by_auto = (
-        header.extra.get("compensation_by_auto", False) if scene is None else scene.particles.compensation == "auto"
-    )
+    by_auto = header.extra["compensation_by_auto"] if scene is None else scene.particles.compensation == "auto"
     scene = scene if scene is not None else Scene.from_dict(header.about.scene, source=f"the scene in {path}")
     if scene.particles.interface == "auto":
         scene = scene.with_interface(header.about.scene["particles"]["interface"])
     if scene.particles.compensation == "auto":
-        scene = scene.with_compensation(header.about.scene["particles"].get("compensation", "none"))
+        scene = scene.with_compensation(header.about.scene["particles"]["compensation"])
     _require_same_domain(scene, header, path)
-    require_room(comm, scene, header.boxes, sum(manifest.rows("particles")), f"checkpoint {path}")
+    require_room(comm, scene, header.boxes, sum(contents.rows["particles"]), f"checkpoint {path}")
     domain, sizes = _mesh_of(header)
     stored = Hierarchy(comm, domain, list(header.boxes[1:]), *sizes, base=header.boxes[0])
     owners = [stored.owners(level) for level in range(stored.levels)]
-    held = read(comm, path, lambda _: owners, manifest)
+    held = read(comm, path, lambda _: owners, contents)
     setup = replace(set_up(comm, scene, fields), compensation_by_auto=by_auto)
-    made_with = header.extra.get("fields", [])
-    for remark in _remarks(scene, header) + _remarks_on_fields(setup.fields.names, made_with):
+    for remark in _remarks(scene, header) + _remarks_on_fields(setup.fields.names, header.extra["fields"]):
         setup.remarks.remark(remark)
     if _mesh_is_another(scene, header):
         hierarchy = make_base(setup.comm, scene)
-    elif manifest.ranks != comm.size:  # boxes are halved for as many ranks as wrote them
+    elif contents.ranks != comm.size:  # boxes are halved for as many ranks as wrote them
         hierarchy = Hierarchy(comm, domain, list(header.boxes[1:]), *sizes)
     else:
         hierarchy = stored
@@ -153,37 +147,34 @@ def _mesh_is_another(scene: Scene, header: Header) -> bool:
 
 def _state(setup: Setup, held: Snapshot, stored: Hierarchy, hierarchy: Hierarchy) -> tuple[State, Setup]:
     extra = held.header.extra
-    species, columns, lag = SpeciesTable.from_dict(extra["species"]), held.tables["particles"], extra.get("lag", 0.0)
+    species, columns, lag = SpeciesTable.from_dict(extra["species"]), held.tables["particles"], extra["lag"]
     if lag > 0 and setup.scene.motion.follows_fields:
         columns = {**columns, "momentum": columns["lagging_momentum"]}
     else:
         lag = 0.0
-    servers = np.array(extra.get("servers", ()), dtype=np.int64)  # of the ranks that wrote the checkpoint
+    servers = np.array(extra["servers"], dtype=np.int64)  # of the ranks that wrote the checkpoint
     same_ranks = len(servers) == setup.comm.size + 1
     another = _mesh_is_another(setup.scene, held.header)
     particles, _ = migrate(_particles(columns, species), hierarchy, servers if same_ranks and not another else None)
     fields = {name: Field(stored, UNITS[name.split("_")[0]]) for name in held.fields}
-    options = SolverOptions(order=held.header.about.scene["solver"].get("order", 2))
+    options = SolverOptions(order=held.header.about.scene["solver"]["order"])
     for name, field in fields.items():
         field.holds = options.potential_holds if name.startswith("phi") else "points"
         for level, values in enumerate(held.fields[name]):
             field.array(level)[:] = values
     if hierarchy is not stored and not another:
         fields = {name: carry_over(field, hierarchy) for name, field in fields.items()}
-    course = Course.from_dict(extra["course"]) if "course" in extra else Course.of_scene(setup.scene)
-    course = course.on_base_of(setup.scene)
+    course = Course.from_dict(extra["course"]).on_base_of(setup.scene)
     last = _solution(setup, fields, extra)
     beam, solution = MeshedParticles(particles, hierarchy, last.frames), last
     if another:
         beam = replace(beam, frames=mirrored(last.frames, last.frames, setup.scene, course.window))
         beam = follow(beam, last, setup)
         solution = solve(beam, deposit(beam, setup), last, setup)
-    lost, screens = _records(held, species, hierarchy.domain)
-    given = held.header.about.scene["motion"].get("dt")
-    before = extra.get("dt", given)
-    if given == "auto" and math.isnan(setup.dt):
-        setup = replace(setup, dt=before)
-    if setup.dt != before:
+    lost, screens = (_recorded(held.tables[of], species, extra["names"][of]) for of in ("lost", "screens"))
+    if held.header.about.scene["motion"].get("dt") == "auto" and math.isnan(setup.dt):
+        setup = replace(setup, dt=extra["dt"])
+    if setup.dt != extra["dt"]:
         setup = with_time_step(setup, beam, solution, course)
     step, time = held.header.step, held.header.time
     staggered = gather_and_push(solution, beam.particles, lag, step, time, course, setup)
@@ -248,32 +239,14 @@ def _by_name(rho: Field, phi: Field, efield: VectorField, magnetic: VectorField 
 
 
 def _frames(extra: Mapping[str, Any]) -> Frames:
-    """Return the frames of a checkpoint; older ones hold one."""
-    if "frames" not in extra:
-        return Frames((Frame(**extra.get("frame", {})),))
-    held = extra["frames"]
-    members = tuple(Frame(**member) for member in held["members"])
-    if "of" not in held:  # an older one, whose bins lie between values of ±ln γ of the motion along the axis
-        edges = tuple(math.copysign(math.acosh(math.exp(abs(edge))), edge) for edge in held["edges"])
-        return Frames(members, held["axis"], edges, tuple((Charge(bin),) for bin in range(len(members))))
-    of = tuple(tuple(Charge(*charge) for charge in part) for part in held["of"])
-    turn = None if held.get("turn") is None else tuple(map(vector, held["turn"]))
-    mirror = None if held.get("mirror") is None else Mirror.from_dict(held["mirror"])
-    errors, motion = (held["error"], held["across"], vector(held["moves"])), tuple(map(tuple, held.get("motion", ())))
-    edges = tuple(held["edges"])
-    return Frames(members, held["axis"], edges, of, *errors, motion, turn, mirror, held.get("leaves", False))
-
-
-def _records(held: Snapshot, species: SpeciesTable, domain: Domain) -> tuple[Record, Record]:
-    """Return what is recorded of losses and of screens."""
-    tables, names = held.tables, held.header.extra.get("names")
-    if names is not None:
-        return tuple(_recorded(tables[of], species, names[of]) for of in ("lost", "screens"))  # type: ignore[return-value]
-    # An older checkpoint: lost particles are as they were outside the domain.
-    particles, count = _particles(tables["lost"], species), len(tables["lost"]["time"])
-    left = Flights(particles.position, particles.position, domain, Window(), Window()).exits(np.arange(count))
-    lost = Record(particles, tables["lost"]["time"], left.direction, left.what, FACES)
-    return lost, Record.empty(species, ())
+    stored = extra["frames"]
+    members = tuple(Frame(**member) for member in stored["members"])
+    of = tuple(tuple(Charge(*charge) for charge in part) for part in stored["of"])
+    turn = None if stored["turn"] is None else tuple(map(vector, stored["turn"]))
+    mirror = None if stored["mirror"] is None else Mirror.from_dict(stored["mirror"])
+    errors, motion = (stored["error"], stored["across"], vector(stored["moves"])), tuple(map(tuple, stored["motion"]))
+    edges = tuple(stored["edges"])
+    return Frames(members, stored["axis"], edges, of, *errors, motion, turn, mirror, stored["leaves"])
 
 
 def _recorded(table: Mapping[str, np.ndarray], species: SpeciesTable, names: Sequence[str]) -> Record:
@@ -298,7 +271,7 @@ def _remarks(scene: Scene, header: Header) -> list[str]:
     now, made_from, out = scene.to_dict(), header.about.scene, []
     if _mesh_is_another(scene, header):
         out.append("the mesh is made anew, and the field solved on it: the base or the sizes of boxes are other ones")
-        if header.extra.get("frames", {}).get("leaves"):
+        if header.extra["frames"]["leaves"]:
             out.append(
                 "the wall that the window left behind is taken up to a quarter of a base cell off its place for the field at "
                 "the restart, and in its place from the next step on"

@@ -12,7 +12,7 @@ from mpi4py import MPI
 from numpy.typing import ArrayLike
 
 from ..errors import InputError
-from ..io.checkpoint_writer import Snapshot
+from ..io.checkpoint import Snapshot
 from ..io.openpmd_writer import write as write_particles
 from ..io.provenance import about
 from ..io.writer_ranks import writers_of

@@ -18,7 +18,7 @@ from .. import html
 from ..errors import InputError
 from ..io import openpmd_reader, particle_reader, time_series
 from ..io.atomic_files import REPLACED, TEMPORARY
-from ..io.checkpoint_manifest import MANIFEST
+from ..io.checkpoint import is_checkpoint
 from ..io.field_reader import open_dump
 from ..mesh.domain import AXES
 from ..parallel import own, share, together, world_by_default
@@ -63,7 +63,7 @@ class Results:
     @property
     def folder(self) -> Path:
         """That of the run."""
-        return self.path if self.path.is_dir() and not (self.path / MANIFEST).exists() else self.path.parent
+        return self.path if self.path.is_dir() and not is_checkpoint(self.path) else self.path.parent
 
     @cached_property
     def scene(self) -> Scene:

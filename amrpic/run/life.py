@@ -10,8 +10,8 @@ from typing import Generic
 from mpi4py import MPI
 
 from ..errors import AmrpicError
-from ..io import checkpoint_writer
-from ..io.checkpoint_writer import Snapshot
+from ..io import checkpoint
+from ..io.checkpoint import Snapshot
 from ..io.writer_ranks import writers_of
 from ..results.run_results import Results
 from ..scene.any_scene import AnyScene
@@ -90,4 +90,4 @@ class Run(ABC, Generic[StateT]):
 
     def checkpoint(self, path: str | Path) -> None:
         """Write the whole state into the new checkpoint `path`. Collective; OutputError on all ranks."""
-        checkpoint_writer.write(self.comm, Path(path), self._snapshot(), writers_of(self.scene))
+        checkpoint.write(self.comm, Path(path), self._snapshot(), writers_of(self.scene))

@@ -12,8 +12,8 @@ from mpi4py import MPI
 
 from .. import isa
 from ..errors import AmrpicError, InputError, OutputError
-from ..io import checkpoint_writer, vtkhdf_writer
-from ..io.checkpoint_writer import Snapshot
+from ..io import checkpoint, checkpoint_folder, vtkhdf_writer
+from ..io.checkpoint import Snapshot
 from ..io.field_reader import LiveDump
 from ..io.provenance import about
 from ..io.run_status import FINISHED, STOPPED
@@ -260,9 +260,9 @@ class Recorder(ABC, Generic[StateT]):
         for table in self._tables():
             table.sync()  # a restart from the checkpoint relies on the rows before it
         directory, output = self._scene.directory, self._scene.output
-        path = checkpoint_writer.path_of(directory, state.step)
-        checkpoint_writer.write(self._comm, path, self._snapshot(state), self._writers)
-        checkpoint_writer.prune(self._comm, directory, output.keep, output.keep_every * output.checkpoint_every)
+        path = checkpoint_folder.path_of(directory, state.step)
+        checkpoint.write(self._comm, path, self._snapshot(state), self._writers)
+        checkpoint_folder.prune(self._comm, directory, output.keep, output.keep_every * output.checkpoint_every)
 
     def _draw(self, state: StateT, stop: Callable[[], str | None]) -> str | None:
         """Draw what a field file of a state shows, or would show, until `stop()` gives a reason, which is returned."""

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from amrpic import _native
-from amrpic.io.checkpoint_writer import loads
-from amrpic.io.writer_ranks import Load, writers_of
+from amrpic.io.writer_ranks import writers_of
 from amrpic.mesh.boxes import Array
 from amrpic.mesh.hierarchy import Hierarchy
 from amrpic.parallel import Traffic
@@ -40,6 +39,7 @@ from .virtual_ranks import (
     sample,
     without_open_walls,
 )
+from .writer_loads import Load, checkpoint_loads
 
 SAMPLE = 10**5  # particles of a scene of which momenta are taken
 MOVED = 300_000  # particles of a rank, and of those that share its bricks, that are gone through for a migration
@@ -385,7 +385,7 @@ class Planner:
         fields = len([*FIELDS, *([BEFORE] if self.scene.extrapolates_potential else [])])
         rows = np.hstack([np.repeat(cells.T, fields, axis=1), particles]).astype(np.int64)
         sizes = [8] * (len(cells) * fields) + columns
-        return loads(rows, sizes, writers_of(self.scene))
+        return checkpoint_loads(rows, sizes, writers_of(self.scene))
 
     # ---- what choices are worth ----
 

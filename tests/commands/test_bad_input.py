@@ -5,7 +5,6 @@ What is legal although it looks odd runs to its end, with one warning.
 
 from __future__ import annotations
 
-import json
 import shutil
 import subprocess
 import sys
@@ -157,26 +156,26 @@ def test_damaged_and_foreign_checkpoints(comm, tmp_path):
         comm.Barrier()
         return tmp_path / name
 
-    part = copy("truncated") / "part_0000.h5"
+    part = copy("truncated") / "state.h5"
     if comm.rank == 0:
         part.write_bytes(part.read_bytes()[:1000])
-    assert "part_0000.h5" in attempt("truncated")
-    part = copy("flipped") / "part_0000.h5"
+    assert "state.h5" in attempt("truncated")
+    part = copy("flipped") / "state.h5"
     if comm.rank == 0:
         data = bytearray(part.read_bytes())
         data[len(data) // 2] ^= 1
         part.write_bytes(data)
-    assert "part_0000.h5" in attempt("flipped")
-    part = copy("foreign") / "part_0000.h5"
+    assert "state.h5" in attempt("flipped")
+    part = copy("foreign") / "state.h5"
     if comm.rank == 0:
         with h5py.File(part, "w") as file:
             file["x"] = [1, 2, 3]
-    assert "part_0000.h5" in attempt("foreign")
-    manifest = copy("garbled") / "manifest.json"
-    manifest.write_text(json.dumps({"format": "something else"}))
-    assert "manifest.json" in attempt("garbled")
+    assert "state.h5" in attempt("foreign")
+    state = copy("garbled") / "state.h5"
+    state.write_text("something else")
+    assert "state.h5" in attempt("garbled")
     (tmp_path / "empty").mkdir(exist_ok=True)
-    assert "manifest.json" in attempt("empty")
+    assert "state.h5" in attempt("empty")
     assert ended(comm, "run", scene, "--output", str(out), "--restart", str(good)) == (
         0,
         "",
@@ -255,7 +254,7 @@ def test_failure_of_one_rank_ends_all(tmp_path, kind):
     assert end.stderr.count("amrpic: ") == 1
     assert "(on rank 1 of 2 alone)" in end.stderr
     assert "Traceback" not in end.stderr
-    assert (tmp_path / "out" / "checkpoint_00000002" / "manifest.json").exists()
+    assert (tmp_path / "out" / "checkpoint_00000002" / "state.h5").exists()
     again = mpiexec(PROGRAM, "run", scene_file(tmp_path), "--output", str(tmp_path / "out"), "--restart", "auto")
     assert again.returncode == 0  # what was written before is still of use
 
@@ -363,4 +362,4 @@ def test_legal_oddity_runs_with_one_warning(comm, tmp_path, name):
     assert status == 0, text
     assert text.count("\n") == 1 and text.startswith("warning: ")
     assert word in text
-    assert (tmp_path / "out" / "checkpoint_00000001" / "manifest.json").exists()
+    assert (tmp_path / "out" / "checkpoint_00000001" / "state.h5").exists()

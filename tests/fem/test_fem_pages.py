@@ -45,7 +45,7 @@ def test_public_names_have_docstrings():
 
 
 def test_particle_in_cell_loads_no_elements():
-    loads = "import sys, amrpic, amrpic.commands.main, amrpic.commands.run, amrpic.pic.simulation, amrpic.io.checkpoint_reader"
+    loads = "import sys, amrpic, amrpic.commands.main, amrpic.commands.run, amrpic.pic.simulation, amrpic.io.checkpoint"
     done = subprocess.run(
         [sys.executable, "-c", f"{loads}; print([m for m in sys.modules if m.startswith(('amrpic.fem', 'amrpic.mpm'))])"],
         capture_output=True, text=True, check=True,

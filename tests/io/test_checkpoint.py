@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import shutil
 from pathlib import Path
 
@@ -9,9 +10,8 @@ import numpy as np
 import pytest
 
 from amrpic.errors import InputError, OutputError
-from amrpic.io import atomic_files, checkpoint_manifest, checkpoint_reader, checkpoint_writer, writer_ranks
-from amrpic.io.checkpoint_manifest import Header, UnreadableCheckpoint
-from amrpic.io.checkpoint_writer import Snapshot
+from amrpic.io import atomic_files, checkpoint, checkpoint_folder, writer_ranks
+from amrpic.io.checkpoint import STATE, Header, Snapshot, UnreadableCheckpoint
 from amrpic.io.provenance import Provenance
 from amrpic.io.writer_ranks import Writers
 from amrpic.mesh.boxes import cells_of
@@ -92,12 +92,13 @@ def everything(comm, state: Snapshot) -> tuple[dict, dict]:
 def test_the_same_ranks_get_every_bit_back_in_order(comm, tmp_path, monkeypatch, writers):
     monkeypatch.setattr(writer_ranks, "PIECE_BYTES", 200)  # many pieces per array
     state = snapshot(comm.size, comm.rank)
-    path = checkpoint_writer.path_of(tmp_path, 7)
-    checkpoint_writer.write(comm, path, state, Writers(writers))
+    path = checkpoint_folder.path_of(tmp_path, 7)
+    checkpoint.write(comm, path, state, Writers(writers))
     assert path.name == "checkpoint_00000007"
-    assert len(list(path.glob("part_*.h5"))) == (min(writers, comm.size) or comm.size)
-    assert_same(checkpoint_reader.read(comm, path), state)
-    np.testing.assert_array_equal(checkpoint_reader.read(comm, path).header.owners[1], state.header.owners[1])
+    parts = min(writers, comm.size) or comm.size
+    assert len(list(path.glob("state.part*"))) == (parts if parts > 1 else 0)
+    assert_same(checkpoint.read(comm, path), state)
+    np.testing.assert_array_equal(checkpoint.read(comm, path).header.owners[1], state.header.owners[1])
 
 
 @pytest.mark.mpi(ranks=(3,))
@@ -105,17 +106,17 @@ def test_the_same_ranks_get_every_bit_back_in_order(comm, tmp_path, monkeypatch,
 def test_any_number_of_ranks_gets_the_same_cells_and_particles(comm, tmp_path, writers):
     from mpi4py import MPI
 
-    path = checkpoint_writer.path_of(tmp_path, 7)
-    checkpoint_writer.write(comm, path, snapshot(comm.size, comm.rank), Writers(writers))
+    path = checkpoint_folder.path_of(tmp_path, 7)
+    checkpoint.write(comm, path, snapshot(comm.size, comm.rank), Writers(writers))
     cells, rows = everything(comm, snapshot(comm.size, comm.rank))
     for colour in (0, comm.rank // 2):  # two ranks and one
         part = comm.Split(colour if colour else min(comm.rank, 1), comm.rank)
-        other_cells, other_rows = everything(part, checkpoint_reader.read(part, path))
+        other_cells, other_rows = everything(part, checkpoint.read(part, path))
         part.Free()
         assert cells.keys() == other_cells.keys()
         assert all(np.array_equal(cells[key], other_cells[key]) for key in cells)
         assert all(np.array_equal(rows[key], other_rows[key]) for key in rows)
-    alone = checkpoint_reader.read(MPI.COMM_SELF, path)
+    alone = checkpoint.read(MPI.COMM_SELF, path)
     assert all(np.array_equal(cell_values(b, l), alone.fields["phi"][l]) for l, b in enumerate(alone.header.boxes))
 
 
@@ -123,11 +124,11 @@ def test_any_number_of_ranks_gets_the_same_cells_and_particles(comm, tmp_path, w
 def test_what_one_rank_wrote_spreads_over_two(comm, tmp_path):
     from mpi4py import MPI
 
-    path = checkpoint_writer.path_of(tmp_path, 7)
+    path = checkpoint_folder.path_of(tmp_path, 7)
     if comm.rank == 0:
-        checkpoint_writer.write(MPI.COMM_SELF, path, snapshot(1, 0))
+        checkpoint.write(MPI.COMM_SELF, path, snapshot(1, 0))
     comm.barrier()
-    state = checkpoint_reader.read(comm, path)
+    state = checkpoint.read(comm, path)
     assert all(len(cells) > 0 for cells in state.fields["phi"])
     assert len(state.tables["particles"]["id"]) == 25
     cells, rows = everything(comm, state)
@@ -138,9 +139,9 @@ def test_what_one_rank_wrote_spreads_over_two(comm, tmp_path):
 
 @pytest.mark.mpi(ranks=(2,))
 def test_the_caller_may_say_who_owns_what(comm, tmp_path):
-    path = checkpoint_writer.path_of(tmp_path, 7)
-    checkpoint_writer.write(comm, path, snapshot(comm.size, comm.rank))
-    state = checkpoint_reader.read(comm, path, owners=lambda header: [np.ones(len(b), int) for b in header.boxes])
+    path = checkpoint_folder.path_of(tmp_path, 7)
+    checkpoint.write(comm, path, snapshot(comm.size, comm.rank))
+    state = checkpoint.read(comm, path, owners=lambda header: [np.ones(len(b), int) for b in header.boxes])
     for level, boxes in enumerate(state.header.boxes):
         np.testing.assert_array_equal(state.fields["phi"][level], cell_values(boxes, level) if comm.rank == 1 else [])
 
@@ -149,61 +150,80 @@ def test_the_caller_may_say_who_owns_what(comm, tmp_path):
 def test_no_particles_and_no_fields_are_a_state_too(comm, tmp_path):
     state = snapshot(comm.size, comm.rank, per_rank=-comm.rank)
     bare = Snapshot(state.header, {}, state.tables)
-    checkpoint_writer.write(comm, tmp_path / "checkpoint_00000001", bare, Writers(2))
-    back = checkpoint_reader.read(comm, tmp_path / "checkpoint_00000001")
+    checkpoint.write(comm, tmp_path / "checkpoint_00000001", bare, Writers(2))
+    back = checkpoint.read(comm, tmp_path / "checkpoint_00000001")
     assert_same(back, bare)
     assert back.tables["particles"]["position"].shape == (0, 3)
 
 
+PART = "state.part0000"
+
+
 def truncate(path: Path) -> None:
-    part = path / "part_0000.h5"
+    part = path / PART
     part.write_bytes(part.read_bytes()[:-100])
 
 
 def flip_a_bit(path: Path) -> None:
-    part = path / "part_0000.h5"
+    part = path / PART
     content = bytearray(part.read_bytes())
-    content[content.index(cell_values(boxes_of(1), 1)[:2].tobytes())] ^= 1
+    content[content.index(cell_values(boxes_of(0), 0)[:2].tobytes())] ^= 1
     part.write_bytes(content)
 
 
 def flip_a_checksum(path: Path) -> None:
-    place = checkpoint_manifest.decode(path).parts[0].digests_offset
-    part = path / "part_0000.h5"
+    part = path / PART
     content = bytearray(part.read_bytes())
-    content[place] ^= 1
+    content[-1] ^= 1
     part.write_bytes(content)
 
 
+def exchange_with_another(path: Path) -> None:
+    other = checkpoint_folder.path_of(path.parent, 10) / PART
+    shutil.copy(other, path / PART)
+
+
 def foreign(path: Path) -> None:
-    (path / checkpoint_manifest.MANIFEST).write_text('{"format": "something else"}')
+    (path / STATE).write_text("something else")
 
 
 def torn(path: Path) -> None:
-    text = (path / checkpoint_manifest.MANIFEST).read_text()
-    (path / checkpoint_manifest.MANIFEST).write_text(text[: len(text) // 2])
+    content = (path / STATE).read_bytes()
+    (path / STATE).write_bytes(content[: len(content) // 2])
 
 
 def edited(path: Path) -> None:
-    text = (path / checkpoint_manifest.MANIFEST).read_text()
-    (path / checkpoint_manifest.MANIFEST).write_text(text.replace('"seed": 42', '"seed": 43'))
+    content = (path / STATE).read_bytes()
+    assert b'"seed": 42' in content
+    (path / STATE).write_bytes(content.replace(b'"seed": 42', b'"seed": 43'))
 
 
 def from_the_future(path: Path) -> None:
-    text = (path / checkpoint_manifest.MANIFEST).read_text()
-    (path / checkpoint_manifest.MANIFEST).write_text(text.replace('"format_version": 3', '"format_version": 99'))
+    """As another version would write it, which seals it as well."""
+    content = (path / STATE).read_bytes().replace(b'"format_version": 4', b'"format_version": 9')
+    content = content[: -atomic_files.SEAL_BYTES]
+    digest = hashlib.sha256(content).hexdigest().encode()
+    (path / STATE).write_bytes(content + atomic_files.SEAL + digest)
+
+
+def of_a_version_before(path: Path) -> None:
+    shutil.rmtree(path)
+    path.mkdir()
+    (path / "manifest.json").write_text('{"format": "amrpic checkpoint", "format_version": 3}')
 
 
 DAMAGES = {
     truncate: "has .* bytes instead of",
-    flip_a_bit: "checksum of part_0000.h5 is wrong",
-    flip_a_checksum: "checksum of part_0000.h5 is wrong",
-    lambda path: (path / "part_0000.h5").unlink(): "lacks its part part_0000.h5",
-    lambda path: (path / checkpoint_manifest.MANIFEST).unlink(): "has no manifest.json",
-    foreign: "damaged or foreign",
-    torn: "damaged or foreign",
+    flip_a_bit: "of its part state.part0000, its checksum is wrong",
+    flip_a_checksum: "its part state.part0000 is another one, or changed since",
+    exchange_with_another: "its part state.part0000 (is another one, or changed since|has .* bytes instead of)",
+    lambda path: (path / PART).unlink(): "its part state.part0000 is not beside it",
+    lambda path: (path / STATE).unlink(): "has no state.h5",
+    foreign: "damaged",
+    torn: "damaged",
     edited: "its checksum is wrong",
-    from_the_future: "format 99",
+    from_the_future: "format 9, this version reads 4",
+    of_a_version_before: "is a checkpoint of an earlier version of amrpic, which alone reads it",
     shutil.rmtree: "is not a checkpoint",
 }
 
@@ -213,42 +233,44 @@ DAMAGES = {
 def test_a_damaged_checkpoint_is_named_on_all_ranks_and_passed_over(comm, tmp_path, damage):
     act, complaint = list(DAMAGES.items())[damage]
     for step in (10, 20):
-        checkpoint_writer.write(comm, checkpoint_writer.path_of(tmp_path, step), snapshot(comm.size, comm.rank, step))
-    older, newest = (checkpoint_writer.path_of(tmp_path, step) for step in (10, 20))
-    assert checkpoint_reader.candidates(comm, tmp_path) == [newest, older]
+        path = checkpoint_folder.path_of(tmp_path, step)
+        checkpoint.write(comm, path, snapshot(comm.size, comm.rank, step, 40 + step), Writers(0))
+    older, newest = (checkpoint_folder.path_of(tmp_path, step) for step in (10, 20))
+    assert checkpoint_folder.candidates(comm, tmp_path) == [newest, older]
     if comm.rank == 0:
         act(newest)
     comm.barrier()
     with pytest.raises(UnreadableCheckpoint, match=complaint) as caught:
-        checkpoint_reader.read(comm, newest)
+        checkpoint.read(comm, newest)
     messages = comm.allgather(str(caught.value))
     assert len(set(messages)) == 1
     assert str(newest) in messages[0]
     assert "\n" not in messages[0]
-    if (newest / checkpoint_manifest.MANIFEST).exists():  # without one it never was finished
-        assert checkpoint_reader.candidates(comm, tmp_path) == [newest, older]
+    if checkpoint.is_checkpoint(newest):  # else it never was finished
+        assert checkpoint_folder.candidates(comm, tmp_path) == [newest, older]
     else:
-        assert checkpoint_reader.candidates(comm, tmp_path)[0] == older
-    checkpoint_reader.read(comm, older)
+        assert checkpoint_folder.candidates(comm, tmp_path)[0] == older
+    checkpoint.read(comm, older)
 
 
 @pytest.mark.mpi(ranks=(2,))
-def test_a_flipped_bit_anywhere_is_found_or_of_no_consequence(comm, tmp_path):
-    path, state = checkpoint_writer.path_of(tmp_path, 7), snapshot(comm.size, comm.rank)
-    checkpoint_writer.write(comm, path, state, Writers(2))
-    part = path / "part_0001.h5"
+def test_a_flipped_bit_anywhere_is_found(comm, tmp_path):
+    path, state = checkpoint_folder.path_of(tmp_path, 7), snapshot(comm.size, comm.rank)
+    checkpoint.write(comm, path, state, Writers(2))
+    part = path / "state.part0001"
     content = part.read_bytes()
     comm.barrier()  # before rank 0 writes
-    found = 0
     for place in range(0, len(content), max(1, len(content) // 50)):
         if comm.rank == 0:
             part.write_bytes(content[:place] + bytes([content[place] ^ 16]) + content[place + 1 :])
         comm.barrier()
-        try:
-            assert_same(checkpoint_reader.read(comm, path), state)
-        except UnreadableCheckpoint:
-            found += 1
-    assert 10 < found < 50  # HDF5's own data are of no use to a restart
+        with pytest.raises(UnreadableCheckpoint):
+            checkpoint.read(comm, path)
+        comm.barrier()
+    if comm.rank == 0:
+        part.write_bytes(content)
+    comm.barrier()
+    assert_same(checkpoint.read(comm, path), state)
 
 
 @pytest.mark.mpi(ranks=(2,))
@@ -257,54 +279,54 @@ def test_a_file_is_not_a_checkpoint(comm, tmp_path):
         (tmp_path / "beam.h5").write_bytes(b"\x89HDF\r\n\x1a\n")
     comm.barrier()
     with pytest.raises(InputError, match="is not a checkpoint"):
-        checkpoint_reader.read(comm, tmp_path / "beam.h5")
+        checkpoint.read(comm, tmp_path / "beam.h5")
 
 
 @pytest.mark.mpi(ranks=(2,))
 def test_an_empty_or_missing_directory_has_no_checkpoint(comm, tmp_path):
-    assert checkpoint_reader.candidates(comm, tmp_path) == []
-    assert checkpoint_reader.candidates(comm, tmp_path / "nowhere") == []
+    assert checkpoint_folder.candidates(comm, tmp_path) == []
+    assert checkpoint_folder.candidates(comm, tmp_path / "nowhere") == []
 
 
 @pytest.mark.mpi(ranks=(1, 2))
 def test_the_newest_are_kept_and_leftovers_of_dead_runs_go(comm, tmp_path):
     if comm.rank == 0:
         (tmp_path / "checkpoint_00000099.tmp").mkdir()
-        (tmp_path / "checkpoint_00000099.tmp" / "part_0000.h5").write_bytes(b"half")
+        (tmp_path / "checkpoint_00000099.tmp" / "state.h5").write_bytes(b"half")
     comm.barrier()
-    assert checkpoint_reader.candidates(comm, tmp_path) == []
+    assert checkpoint_folder.candidates(comm, tmp_path) == []
     for step in (900, 10, 20, 30):  # 900: an earlier, longer run in the same directory
-        checkpoint_writer.write(comm, checkpoint_writer.path_of(tmp_path, step), snapshot(comm.size, comm.rank, step))
-        checkpoint_writer.prune(comm, tmp_path, keep=2)
+        checkpoint.write(comm, checkpoint_folder.path_of(tmp_path, step), snapshot(comm.size, comm.rank, step))
+        checkpoint_folder.prune(comm, tmp_path, keep=2)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["checkpoint_00000020", "checkpoint_00000030"]
-    assert checkpoint_reader.candidates(comm, tmp_path)[0] == checkpoint_writer.path_of(tmp_path, 30)
+    assert checkpoint_folder.candidates(comm, tmp_path)[0] == checkpoint_folder.path_of(tmp_path, 30)
 
 
 @pytest.mark.mpi(ranks=(2,))
 def test_those_of_every_so_many_steps_stay_besides_the_newest(comm, tmp_path):
     for step in range(5, 50, 5):
-        checkpoint_writer.write(comm, checkpoint_writer.path_of(tmp_path, step), snapshot(comm.size, comm.rank, step))
-        checkpoint_writer.prune(comm, tmp_path, keep=2, every=15)
+        checkpoint.write(comm, checkpoint_folder.path_of(tmp_path, step), snapshot(comm.size, comm.rank, step))
+        checkpoint_folder.prune(comm, tmp_path, keep=2, every=15)
     assert sorted(int(p.name[-8:]) for p in tmp_path.iterdir()) == [15, 30, 40, 45]
 
 
 @pytest.mark.mpi(ranks=(2,))
 def test_writing_again_replaces_as_a_whole(comm, tmp_path):
-    path = checkpoint_writer.path_of(tmp_path, 5)
+    path = checkpoint_folder.path_of(tmp_path, 5)
     for per_rank in (10, 20):
-        checkpoint_writer.write(comm, path, snapshot(comm.size, comm.rank, 5, per_rank))
-    assert_same(checkpoint_reader.read(comm, path), snapshot(comm.size, comm.rank, 5, 20))
+        checkpoint.write(comm, path, snapshot(comm.size, comm.rank, 5, per_rank))
+    assert_same(checkpoint.read(comm, path), snapshot(comm.size, comm.rank, 5, 20))
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
 
 
 @pytest.mark.mpi(ranks=(1,))
 def test_one_that_stepped_aside_is_found_until_its_successor_is_there(comm, tmp_path):
-    path = checkpoint_writer.path_of(tmp_path, 5)
-    checkpoint_writer.write(comm, path, snapshot(1, 0, 5))
+    path = checkpoint_folder.path_of(tmp_path, 5)
+    checkpoint.write(comm, path, snapshot(1, 0, 5))
     path.rename(atomic_files.replaced(path))  # where a kill between the two renames leaves it
-    assert checkpoint_reader.candidates(comm, tmp_path)[0] == atomic_files.replaced(path)
-    checkpoint_writer.write(comm, path, snapshot(1, 0, 5))
-    assert checkpoint_reader.candidates(comm, tmp_path)[0] == path
+    assert checkpoint_folder.candidates(comm, tmp_path)[0] == atomic_files.replaced(path)
+    checkpoint.write(comm, path, snapshot(1, 0, 5))
+    assert checkpoint_folder.candidates(comm, tmp_path)[0] == path
 
 
 @pytest.mark.mpi(ranks=(2,))
@@ -313,21 +335,21 @@ def test_a_folder_that_cannot_be_made_is_one_error_on_all_ranks(comm, tmp_path):
         (tmp_path / "file").write_text("in the way")
     comm.barrier()
     with pytest.raises(OutputError, match=r"cannot write checkpoint .*: File exists; .* output folder") as caught:
-        checkpoint_writer.write(comm, tmp_path / "file" / "checkpoint_00000001", snapshot(comm.size, comm.rank))
+        checkpoint.write(comm, tmp_path / "file" / "checkpoint_00000001", snapshot(comm.size, comm.rank))
     assert len(set(comm.allgather(str(caught.value)))) == 1
 
 
 @pytest.mark.mpi(ranks=(3,))
 @pytest.mark.parametrize(("full", "limit"), [(0, 100), (0, 100_000), (1, 5000), (2, 50_000)])
 def test_a_disk_that_fills_up_on_one_rank_keeps_the_old_checkpoint(comm, tmp_path, full, limit):
-    checkpoint_writer.write(comm, checkpoint_writer.path_of(tmp_path, 1), snapshot(comm.size, comm.rank, 1))
+    checkpoint.write(comm, checkpoint_folder.path_of(tmp_path, 1), snapshot(comm.size, comm.rank, 1))
     state = snapshot(comm.size, comm.rank, 2)
     state = Snapshot(state.header, state.fields, {**state.tables, "more": {"x": np.zeros(20_000)}})
     with (
         file_size_limit(limit if comm.rank == full else None),
         pytest.raises(OutputError, match=r"cannot write checkpoint .*: File too large; free some space") as caught,
     ):
-        checkpoint_writer.write(comm, checkpoint_writer.path_of(tmp_path, 2), state, Writers(3))
+        checkpoint.write(comm, checkpoint_folder.path_of(tmp_path, 2), state, Writers(3))
     assert len(set(comm.allgather(str(caught.value)))) == 1
     assert [p.name for p in tmp_path.iterdir()] == ["checkpoint_00000001"]
-    assert checkpoint_reader.candidates(comm, tmp_path)[0] == checkpoint_writer.path_of(tmp_path, 1)
+    assert checkpoint_folder.candidates(comm, tmp_path)[0] == checkpoint_folder.path_of(tmp_path, 1)

@@ -21,7 +21,7 @@ from mpi4py import MPI
 import bad_inputs
 import whole_run
 from amrpic.errors import AmrpicError, InputError
-from amrpic.io import checkpoint_reader, integrity, openpmd_reader, vetting, vetting_child
+from amrpic.io import checkpoint, integrity, openpmd_reader, vetting, vetting_child
 from amrpic.io.field_reader import open_dump
 from amrpic.pic.limits import check_scene
 from amrpic.results.run_results import Results
@@ -70,7 +70,7 @@ def read_dump(path: Path) -> None:
 
 
 def read_checkpoint(path: Path) -> None:
-    checkpoint_reader.read(MPI.COMM_SELF, path)
+    checkpoint.read(MPI.COMM_SELF, path)
 
 
 def try_reading(read: Callable[[Path], object], path: Path, name: str) -> bool:
@@ -110,7 +110,7 @@ def test_mutated_files_are_read_or_refused(whole, tmp_path, kind, long):
             path.write_bytes(mistaken(bad_inputs.SCENE.encode(), random))
         elif kind == "checkpoint":
             shutil.copytree(source, path)
-            part = path / ("manifest.json", "part_0000.h5")[number % 2]
+            part = path / "state.h5"
             part.write_bytes(damaged(part.read_bytes(), random))
         else:
             path.write_bytes(damaged(source.read_bytes(), random))

@@ -23,8 +23,7 @@ KINDS = {  # a file of each kind, and what is checked for it
     "particles_00000004.h5": "",
     "losses.h5": "",
     "screen_end.h5": "",
-    "checkpoint_00000004/manifest.json": "checkpoint_00000004",
-    "checkpoint_00000004/part_0000.h5": "checkpoint_00000004",
+    "checkpoint_00000004/state.h5": "checkpoint_00000004",
     "series.csv": "",
     "series.json": "series.csv",
     "residuals.csv": "",
@@ -48,7 +47,7 @@ def whole(tmp_path_factory):
 def test_what_a_run_wrote_is_whole_and_nothing_is_left_out(whole):
     files = [path for path in whole.rglob("*") if path.is_file() and path.name[0] != "." and path.name != "status.json"]
     described = [path for path in files if path.with_suffix(".csv").exists() and path.suffix == ".json"]
-    assert integrity.require_whole(whole) == len(files) - len(described) - 1  # manifest and part are one checkpoint
+    assert integrity.require_whole(whole) == len(files) - len(described)
     for name, owner in KINDS.items():
         assert integrity.require_whole(whole / (owner or name)) == 1
     assert {path.suffix for path in files} == {Path(name).suffix for name in KINDS}
@@ -121,7 +120,7 @@ def test_lost_and_damaged_parts_are_found(comm, tmp_path):
     if comm.rank > 0:
         return
     assert integrity.require_whole(tmp_path) > 0
-    for name in ("fields_00000004.part0001", "particles_00000004.part0000", "checkpoint_00000004/part_0001.h5"):
+    for name in ("fields_00000004.part0001", "particles_00000004.part0000", "checkpoint_00000004/state.part0001"):
         path = tmp_path / name
         data = path.read_bytes()
         path.unlink()

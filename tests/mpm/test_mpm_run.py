@@ -301,7 +301,7 @@ def test_a_run_is_read_back_by_the_commands_that_know_points(comm, tmp_path):
     assert re.findall(r"<h2>(\w+)</h2>", page) == ["Pictures", "Body", "Solver", "Time", "Remarks", "Scene"]
     names = re.findall(r'<img alt="([^"]*)" src="data:image/png;base64,', page)
     assert names == ["material_y", "damage_y", "pressure_y", "mises_y", "body", "solver", "time"]
-    assert "<td>load</td><td>100 %</td>" in page and 'method = &quot;mpm&quot;' in page
+    assert "<td>load</td><td>100 %</td>" in page and "method = &quot;mpm&quot;" in page
     elsewhere = scene(tmp_path, schedule={"steps": 2}, output={**output, "directory": str(tmp_path / "other")})
     again = mpm.Simulation.restart(comm, tmp_path / "run" / "checkpoint_00000002", elsewhere)
     again.run(log="silent")

@@ -25,8 +25,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from amrpic.io import checkpoint_reader, checkpoint_writer, time_series
-from amrpic.io.checkpoint_writer import Snapshot
+from amrpic.io import checkpoint, checkpoint_folder, time_series
+from amrpic.io.checkpoint import Snapshot
 from amrpic.io.run_status import RunStatus
 from mpi_batch import ENVIRONMENT, PATIENCE
 
@@ -212,8 +212,8 @@ def last_state(folder: Path, last: int) -> Snapshot:
     """The state at the end of a run, of all ranks."""
     from mpi4py import MPI
 
-    path = checkpoint_writer.path_of(folder, last)
-    return checkpoint_reader.read(MPI.COMM_SELF, path, owners=lambda header: [0 * owners for owners in header.owners])
+    path = checkpoint_folder.path_of(folder, last)
+    return checkpoint.read(MPI.COMM_SELF, path, owners=lambda header: [0 * owners for owners in header.owners])
 
 
 def arrays(state: Snapshot) -> dict[str, np.ndarray]:
@@ -379,7 +379,7 @@ def test_stopped_in_every_way_and_resumed_each_time_it_ends_bit_by_bit_as_undist
         status = RunStatus.read(folder)
         why = {"STOP": "the file", "walltime": "the time given"}.get(how, "signal")
         assert status.state == "stopped" and status.why.startswith(why), (how, status.why)
-        assert checkpoint_writer.path_of(folder, status.step).is_dir()
+        assert checkpoint_folder.path_of(folder, status.step).is_dir()
         assert time_series.read(folder / "series.csv")["step"].tolist() == list(range(status.step + 1))
         at.append(status.step)
     assert at == sorted(at) and at[0] > 0 and at[-1] < STEPS
@@ -434,7 +434,7 @@ def test_ctrl_c_at_make_run_in_a_terminal_leaves_a_checkpoint(tmp_path):
     assert make.returncode == -signal.SIGINT  # make waits for its shell, and then ends as Ctrl-C asks
     assert f"stopped at step {status.step}: signal SIGUSR1; go on with --restart auto" in b"".join(printed).decode()
     assert time_series.read(folder / "series.csv")["step"].tolist() == list(range(status.step + 1))
-    assert 0 < status.step < STEPS and checkpoint_writer.path_of(folder, status.step).is_dir()
+    assert 0 < status.step < STEPS and checkpoint_folder.path_of(folder, status.step).is_dir()
 
 
 def read(terminal: int) -> bytes:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +13,7 @@ import pytest
 
 from amrpic import Scene, Simulation
 from amrpic.errors import SceneError
-from amrpic.io import checkpoint_writer, time_series
-from amrpic.io.checkpoint_writer import Snapshot
-from amrpic.pic.restart import COLUMNS, snapshot
+from amrpic.io import time_series
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE, SPEED_OF_LIGHT
 
 MC = ELECTRON_MASS * SPEED_OF_LIGHT
@@ -228,26 +225,6 @@ def test_records_go_on_on_another_number_of_ranks_and_with_other_apertures(comm,
         assert 0 < lost_before == (lost["cause"] == "scraper").sum() < len(lost["id"])
         assert set(lost["cause"]) == {"scraper", "new"} and set(screens["cause"]) == {"s", "t"}
         assert any("apertures" in remark and "screens" in remark for remark in again.remarks)
-
-
-def test_checkpoints_from_before_there_were_causes_are_read(comm, tmp_path):
-    simulation = run(comm, scene(tmp_path, schedule={"steps": 12}))
-    held = snapshot(simulation.state, simulation._setup)
-    assert 0 < len(simulation.lost) < 4000
-    outside = np.array(simulation.lost.particles.position) + np.array(
-        [0, 0, 1e-4]
-    )  # where they were after their last step
-    table = {**held.tables["lost"], "position": outside}
-    old = Snapshot(
-        replace(held.header, extra={key: value for key, value in held.header.extra.items() if key != "names"}),
-        held.fields,
-        {"particles": held.tables["particles"], "lost": {key: table[key] for key in (*COLUMNS, "time")}},
-    )
-    checkpoint_writer.write(comm, tmp_path / "old", old)
-    again = Simulation.restart(comm, tmp_path / "old")
-    assert {again.lost.names[cause] for cause in again.lost.cause} == {"z_upper"} and len(again.screens) == 0
-    assert np.array_equal(again.lost.particles.position, outside)
-    assert np.array_equal(again.lost.time, simulation.lost.time) and not again.remarks
 
 
 @pytest.mark.mpi(ranks=(1, 2))

@@ -91,7 +91,7 @@ def test_a_full_standard_output_does_not_end_a_run(tmp_path, ranks):
     if ranks == 1:
         assert end.stderr.count("\n") == 1
         assert "the log cannot be written (No space left on device); the run goes on without it" in end.stderr
-    assert (tmp_path / "run" / "checkpoint_00000001" / "manifest.json").exists()
+    assert (tmp_path / "run" / "checkpoint_00000001" / "state.h5").exists()
 
 
 def test_a_full_standard_output_is_one_sentence_where_it_is_the_result(tmp_path):

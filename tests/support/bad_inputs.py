@@ -247,12 +247,12 @@ OUTPUTS: Mapping[str, tuple[str, Callable[[Path], object], tuple[str, ...]]] = {
         f"restart, {kind} {name}": (
             f"{CHECKPOINT}/{name}", damage, ("run", "SCENE", "--output", "OUT", "--restart", CHECKPOINT)
         )
-        for name in ("manifest.json", "part_0000.h5")
+        for name in ("state.h5",)
         for kind, damage in DAMAGE.items()
     },
     **{
         f"check, {kind} {name}": (f"run/{name}", damage, ("check", f"run/{name.partition('/')[0]}"))
-        for name in ("checkpoint_00000001/part_0000.h5", "fields_00000001.vtkhdf", "series.csv", "openpmd/openpmd_00000001.h5")
+        for name in ("checkpoint_00000001/state.h5", "fields_00000001.vtkhdf", "series.csv", "openpmd/openpmd_00000001.h5")
         for kind, damage in DAMAGE.items()
         if not (kind == "missing" and "openpmd" in name)
     },

@@ -27,13 +27,13 @@ from ..pic.course import Course
 from ..pic.forecast import forecast
 from ..pic.frames import first_frames
 from ..pic.initial_particles import make_bunches, start_of
-from ..pic.limits import machine_memory
-from ..pic.memory import MIB, run_memory
+from ..pic.memory import run_memory
 from ..pic.meshed import MeshedParticles, deposit
 from ..pic.setup import Setup, resolved, set_up
 from ..pic.time_step import with_time_step
 from ..progress import progress
 from ..run.folder import prepare
+from ..run.machine import MIB, machine_memory
 from ..scene.refinement_rules import (
     CallableRule,
     ChargeDensityRule,

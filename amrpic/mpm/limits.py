@@ -8,7 +8,7 @@ from mpi4py import MPI
 
 from ..errors import SceneError
 from ..parallel import from_rank_0
-from ..pic.limits import available_memory, machine_memory
+from ..run.machine import available_memory, machine_memory
 from .scene import Scene
 
 POINT_COLUMNS = 17  # of eight bytes, that a point has

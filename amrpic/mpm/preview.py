@@ -12,9 +12,8 @@ from ..io.field_reader import LiveDump
 from ..io.provenance import about
 from ..io.writer_ranks import writers_of
 from ..parallel import global_max
-from ..pic.limits import machine_memory
-from ..pic.memory import MIB
 from ..run.folder import prepare
+from ..run.machine import MIB, machine_memory
 from ..units import quantity
 from ..view.draw import draw
 from ..view.views import View

@@ -17,7 +17,7 @@ from amrpic.mesh.boxes import Array
 from amrpic.mesh.hierarchy import Hierarchy
 from amrpic.parallel import Traffic
 from amrpic.pic.flight import deposits_meanwhile
-from amrpic.pic.memory import Share, cells_below, placing_bytes, rank_memory
+from amrpic.pic.memory import PLACING, Share, rank_memory
 from amrpic.pic.restart import BEFORE, FIELDS, LAGGING_BYTES, ROW_BYTES
 from amrpic.scaling.measure import cells_of_ranks
 from amrpic.scene.motion import Leapfrog, RandomWalk
@@ -25,6 +25,7 @@ from amrpic.scene.scene import Scene
 
 from .bricks import Bricks, Exchange, Served, bricks_of, served
 from .densities import charged_regions, clouds_of, planned_mesh
+from .levels_below import cells_below
 from .moves import Leaving, leaving, moves
 from .neighbours import neighbours_of_ranks
 from .sent import Sent
@@ -376,7 +377,7 @@ class Planner:
         of_particles = (need(last, 0, many) - need(last, 0, 0)) / many * held.particles
         full = none + of_cells + of_particles
         full[writers] += need(0, 0, 0) - need(last, 0, 0)
-        return full, none + placing_bytes(self.scene) * held.particles
+        return full, none + PLACING * held.particles
 
     def _checkpoint(self, cells: Array, held: Served) -> list[Load]:
         """Return what each writer of a checkpoint does."""

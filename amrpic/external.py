@@ -68,7 +68,7 @@ class ExternalFields:
         Maps that are not given are read from their files. Along the axes `repeats` of a `domain` elements repeat with its
         period, see `images`. Raises InputError if a map cannot be used, or an element would lie over its own images.
         """
-        known = read_maps(elements) if maps is None else maps
+        by_file = read_maps(elements) if maps is None else maps
         self.elements = [
             element.model_copy(update={"gradient": element.gradient_for(species, momentum), "wavenumber": None})
             if isinstance(element, ConstantFocusingElement) and element.wavenumber is not None and species is not None
@@ -77,9 +77,9 @@ class ExternalFields:
         ]
         self.native = _native.ExternalFields(
             [
-                native_element(image, known)
+                native_element(image, by_file)
                 for number, element in enumerate(self.elements)
-                for image in images(element, f"elements.{number}", known, domain, repeats)
+                for image in images(element, f"elements.{number}", by_file, domain, repeats)
             ]
         )
 
@@ -143,15 +143,15 @@ class ExternalFields:
 
 def read_maps(elements: Sequence[Element]) -> Maps:
     """Return the maps of elements by file and iteration. Raises InputError if one cannot be used."""
-    wanted = {(element.file, element.iteration) for element in elements if isinstance(element, MapElement)}
-    return {source: field_maps.read(*source) for source in sorted(wanted, key=str)}
+    files = {(element.file, element.iteration) for element in elements if isinstance(element, MapElement)}
+    return {source: field_maps.read(*source) for source in sorted(files, key=str)}
 
 
 def native_element(element: Element, maps: Maps) -> _native.ExternalElement:
     """Return an element as the kernels take it; `maps` holds its map if it is one."""
     if isinstance(element, MapElement):
-        given, omega = maps[element.file, element.iteration], 2 * math.pi * element.frequency
-        field = map_field(given, element.scale, omega, element.phase)
+        field_map, omega = maps[element.file, element.iteration], 2 * math.pi * element.frequency
+        field = map_field(field_map, element.scale, omega, element.phase)
     else:
         field = kind(element)
     return _native.ExternalElement(
@@ -203,9 +203,9 @@ def images(
 def ends(element: Element, maps: Maps) -> tuple[float, float]:
     """Return where along its own axis an element begins and ends, in m from its centre; fringes reach beyond."""
     if isinstance(element, MapElement):
-        given = maps[element.file, element.iteration]
-        nodes = next(values for values in (given.electric, given.magnetic) if values is not None).shape[-2]
-        return given.lower[-1], given.lower[-1] + (nodes - 1) * given.spacing[-1]
+        field_map = maps[element.file, element.iteration]
+        nodes = next(values for values in (field_map.electric, field_map.magnetic) if values is not None).shape[-2]
+        return field_map.lower[-1], field_map.lower[-1] + (nodes - 1) * field_map.spacing[-1]
     length = element.length  # type: ignore[attr-defined]
     return EVERYWHERE if length is None else (-length / 2, length / 2)
 
@@ -287,28 +287,30 @@ def fringe(element: FringedElement) -> _native.EngeFringe:
 # ---- maps: a ghost node beyond each end, so that all cells are interpolated by one formula ----
 
 
-def map_field(given: field_maps.FieldMap, scale: float = 1.0, omega: float = 0.0, phase: float = 0.0) -> Kind:
+def map_field(field_map: field_maps.FieldMap, scale: float = 1.0, omega: float = 0.0, phase: float = 0.0) -> Kind:
     """Return the field of a map; omega in 1/s, phase in rad."""
-    present = next(values for values in (given.electric, given.magnetic) if values is not None)
+    present = next(values for values in (field_map.electric, field_map.magnetic) if values is not None)
     cells = [n - 1 for n in present.shape[:-1]]
-    lower, before = list(given.lower), [1] * len(cells)
-    mirrored = nodes_through_axis(given) if given.axisymmetric else 0
+    lower, before = list(field_map.lower), [1] * len(cells)
+    mirrored = nodes_through_axis(field_map) if field_map.axisymmetric else 0
     if mirrored == 2:  # the axis lies between two nodes
-        lower[0] -= given.spacing[0]
+        lower[0] -= field_map.spacing[0]
         cells[0] += 1
-    arrays = [None if v is None else padded(v, mirrored) for v in (given.electric, given.magnetic)]
-    spacing = list(given.spacing)
-    if given.axisymmetric:  # one node along the middle axis, which is not looked at
-        lower, spacing = ([one[0], 0.0, one[1]] for one in (lower, spacing))
-        cells, before = ([one[0], 0, one[1]] for one in (cells, before))
+    arrays = [None if v is None else padded(v, mirrored) for v in (field_map.electric, field_map.magnetic)]
+    spacing = list(field_map.spacing)
+    if field_map.axisymmetric:  # one node along the middle axis, which is not looked at
+        lower, spacing = ([pair[0], 0.0, pair[1]] for pair in (lower, spacing))
+        cells, before = ([pair[0], 0, pair[1]] for pair in (cells, before))
         arrays = [None if v is None else v[:, None] for v in arrays]
     electric, magnetic = arrays
-    return _native.MapField(given.axisymmetric, lower, spacing, cells, before, electric, magnetic, scale, omega, phase)
+    return _native.MapField(
+        field_map.axisymmetric, lower, spacing, cells, before, electric, magnetic, scale, omega, phase
+    )
 
 
-def nodes_through_axis(given: field_maps.FieldMap) -> int:
+def nodes_through_axis(field_map: field_maps.FieldMap) -> int:
     """Return how many nodes beyond the axis those of a map determine by symmetry: its first is on it or half a spacing off."""
-    return 1 if given.lower[0] < given.spacing[0] / 4 else 2
+    return 1 if field_map.lower[0] < field_map.spacing[0] / 4 else 2
 
 
 def padded(values: Array, mirrored: int) -> Array:

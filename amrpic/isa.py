@@ -30,8 +30,8 @@ class InstructionSetError(ImportError):
 
 def built() -> dict[str, ModuleSpec]:
     """Return where the module of each set lies that was built."""
-    found = ((name, find_spec(f"{__package__}._native_{name}")) for name in (*ALONE, *X86_64))
-    return {name: spec for name, spec in found if spec is not None}
+    modules = ((name, find_spec(f"{__package__}._native_{name}")) for name in (*ALONE, *X86_64))
+    return {name: spec for name, spec in modules if spec is not None}
 
 
 def available(built: Collection[str], processor: Collection[str]) -> list[str]:
@@ -39,25 +39,25 @@ def available(built: Collection[str], processor: Collection[str]) -> list[str]:
     return [name for name in (*ALONE, *processor) if name in built]
 
 
-def choose(built: Collection[str], processor: Collection[str], wanted: str = "") -> str:
+def choose(built: Collection[str], processor: Collection[str], choice: str = "") -> str:
     """Return the set to load; raise InstructionSetError if there is none, or not the one that is wanted."""
     usable = available(built, processor)
-    if wanted and wanted not in (*X86_64, *built):
-        raise InstructionSetError(f"{VARIABLE}={wanted} names no instruction set; choose one of {', '.join(usable)}")
-    if wanted and wanted not in built:
+    if choice and choice not in (*X86_64, *built):
+        raise InstructionSetError(f"{VARIABLE}={choice} names no instruction set; choose one of {', '.join(usable)}")
+    if choice and choice not in built:
         raise InstructionSetError(
-            f"{VARIABLE}={wanted} names a set that was not built; choose one of {', '.join(usable)}"
+            f"{VARIABLE}={choice} names a set that was not built; choose one of {', '.join(usable)}"
         )
-    if wanted and wanted not in usable:
+    if choice and choice not in usable:
         raise InstructionSetError(
-            f"{VARIABLE}={wanted} names a set that this processor lacks; choose one of {', '.join(usable)}"
+            f"{VARIABLE}={choice} names a set that this processor lacks; choose one of {', '.join(usable)}"
         )
     if not usable:
         raise InstructionSetError(
             f"this processor has none of the instruction sets that were built ({', '.join(built) or 'none'}); "
             "build on it: make clean setup"
         )
-    return wanted or usable[0]
+    return choice or usable[0]
 
 
 def load(name: str) -> ModuleType:
@@ -83,11 +83,11 @@ usable: list[str] = []  # those that could have been, the fastest first
 
 def description() -> str:
     """Return which set is in use and why it comes before a wider one, and which others could be."""
-    others = [name for name in usable if name != in_use]
+    unused = [name for name in usable if name != in_use]
     why = ""
     if in_use == "v3" and not os.environ.get(VARIABLE) and "v4" in sets_of_the_processor() and slowed_by_wide_vectors():
         why = ", which is as fast as v4 here: the processor's clock falls where vectors have 512 bits"
-    return f"{TITLES[in_use]}{why}" + (f" ({VARIABLE} can choose {' or '.join(others)})" if others else "")
+    return f"{TITLES[in_use]}{why}" + (f" ({VARIABLE} can choose {' or '.join(unused)})" if unused else "")
 
 
 def _report_in_one_sentence() -> None:

@@ -25,14 +25,14 @@ class Communicator(MPI.Intracomm):
         They pass as double precision, in one reduction; mpi4py's own method would pickle them, and reduce and broadcast them by
         messages. Whole numbers stay so, to 2^53. Ranks may mix them with others, as an empty sum is one.
         """
-        given = np.asarray(sendobj)
+        own_values = np.asarray(sendobj)
         logical = op in (MPI.LAND, MPI.LOR)
-        kind = np.intc if logical else np.complex128 if given.dtype.kind == "c" else np.float64
-        values = np.array(given, dtype=kind, order="C")
+        kind = np.intc if logical else np.complex128 if own_values.dtype.kind == "c" else np.float64
+        values = np.array(own_values, dtype=kind, order="C")
         self.Allreduce(MPI.IN_PLACE, values, op)
         if logical:
             values = values.astype(bool)
-        elif given.dtype.kind in "biu" and np.array_equal(values, np.rint(values)):
+        elif own_values.dtype.kind in "biu" and np.array_equal(values, np.rint(values)):
             values = values.astype(np.int64)
         return values if isinstance(sendobj, np.ndarray) else values.item()
 
@@ -40,10 +40,10 @@ class Communicator(MPI.Intracomm):
 def _counted(name: str) -> Callable[..., Any]:
     call = getattr(MPI.Intracomm, name)
 
-    def counting(self: Communicator, *given: Any, **named: Any) -> Any:
+    def counting(self: Communicator, *arguments: Any, **named: Any) -> Any:
         if self.size > 1:
             _native.count_collective()
-        return call(self, *given, **named)
+        return call(self, *arguments, **named)
 
     counting.__name__, counting.__doc__ = name, call.__doc__
     return counting
@@ -76,10 +76,10 @@ class VirtualRank:
         self._count()
         return value
 
-    def Allreduce(self, given: Any, all_: np.ndarray, op: MPI.Op = MPI.SUM) -> None:
+    def Allreduce(self, own_values: Any, all_: np.ndarray, op: MPI.Op = MPI.SUM) -> None:
         self._count()
-        if given is not MPI.IN_PLACE:
-            all_[...] = given
+        if own_values is not MPI.IN_PLACE:
+            all_[...] = own_values
 
     def allgather(self, value: T) -> list[T]:
         self._count()
@@ -102,7 +102,7 @@ COLLECTIVES = ("Allreduce", "allgather", "Allgather", "gather", "bcast", "Barrie
 for _name in COLLECTIVES:
     setattr(Communicator, _name, _counted(_name))
 
-_OWN = MPI.Comm.Create_keyval(delete_fn=lambda comm, key, mine: mine.Free())
+_OWN = MPI.Comm.Create_keyval(delete_fn=lambda comm, key, duplicate: duplicate.Free())
 
 
 def own(comm: MPI.Comm) -> Communicator:
@@ -113,24 +113,24 @@ def own(comm: MPI.Comm) -> Communicator:
     """
     if isinstance(comm, Communicator):
         return comm
-    mine = cast(Communicator | None, comm.Get_attr(_OWN))
-    if mine is None:
-        mine = Communicator(comm.Dup())
-        comm.Set_attr(_OWN, mine)
-        _native.end_job_on_failure(mine.py2f())
-        if mine.size > 1:
-            end_scripts_together(Meeting(mine))
-    return mine
+    duplicate = cast(Communicator | None, comm.Get_attr(_OWN))
+    if duplicate is None:
+        duplicate = Communicator(comm.Dup())
+        comm.Set_attr(_OWN, duplicate)
+        _native.end_job_on_failure(duplicate.py2f())
+        if duplicate.size > 1:
+            end_scripts_together(Meeting(duplicate))
+    return duplicate
 
 
 def world_by_default(method: Callable[..., T]) -> Callable[..., T]:
     """Let a method's communicator, its first argument, be left out for that of all ranks."""
 
     @functools.wraps(method)
-    def call(self: Any, *given: Any, **named: Any) -> T:
-        if "comm" not in named and not (given and isinstance(given[0], MPI.Comm | VirtualRank)):
-            given = (MPI.COMM_WORLD, *given)
-        return method(self, *given, **named)
+    def call(self: Any, *arguments: Any, **named: Any) -> T:
+        if "comm" not in named and not (arguments and isinstance(arguments[0], MPI.Comm | VirtualRank)):
+            arguments = (MPI.COMM_WORLD, *arguments)
+        return method(self, *arguments, **named)
 
     return call
 
@@ -197,7 +197,7 @@ def together(comm: MPI.Comm, error: type[Exception] = AmrpicError) -> Iterator[N
     raise kind(message) from failure
 
 
-def call_together(comm: MPI.Comm, call: Callable[[], T], error: type[Exception], what: str) -> T:
+def call_together(comm: MPI.Comm, call: Callable[[], T], error: type[Exception], failed: str) -> T:
     """Return what `call` gives, which may communicate; an exception in it on some ranks becomes `error` on all. Collective.
 
     Ranks that still wait for a failed one within the call are ended with it, with one sentence.
@@ -206,9 +206,9 @@ def call_together(comm: MPI.Comm, call: Callable[[], T], error: type[Exception],
     try:
         value = call()
     except Exception as caught:
-        failure, message = caught, f"{what} ({type(caught).__name__}: {caught})"
-    mine, first = np.array(comm.rank if failure is not None else comm.size), np.empty((), dtype=int)
-    meeting = comm.Iallreduce(mine, first, op=MPI.MIN)
+        failure, message = caught, f"{failed} ({type(caught).__name__}: {caught})"
+    own_failure, first = np.array(comm.rank if failure is not None else comm.size), np.empty((), dtype=int)
+    meeting = comm.Iallreduce(own_failure, first, op=MPI.MIN)
     if not is_over(meeting, np.inf if failure is None else GRACE):
         end_alone(comm, f"amrpic: {message}", BAD_INPUT)
     if first == comm.size:
@@ -255,5 +255,5 @@ def global_sums_and_largest(
     comm: MPI.Comm, summed: Mapping[str, float], compared: Mapping[str, float]
 ) -> dict[str, float]:
     """Return the sum over all ranks of each of some numbers, and the largest of others, in one reduction. Collective."""
-    found = _native.sums_and_largest(comm.py2f(), list(summed.values()), list(compared.values()))
-    return dict(zip([*summed, *compared], found, strict=True))
+    reduced = _native.sums_and_largest(comm.py2f(), list(summed.values()), list(compared.values()))
+    return dict(zip([*summed, *compared], reduced, strict=True))

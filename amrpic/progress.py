@@ -34,9 +34,9 @@ class Progress:
         self.spoke()
 
     @contextlib.contextmanager
-    def __call__(self, what: str) -> Iterator[None]:
-        """Do what `what` names, as in "still making particles"."""
-        self._works.append((what, self._now()))
+    def __call__(self, work: str) -> Iterator[None]:
+        """Do what `work` names, as in "still making particles"."""
+        self._works.append((work, self._now()))
         try:
             yield
         finally:
@@ -57,8 +57,8 @@ class Progress:
         if not works or now - self._last < self._patience:
             return None
         self._last, self._patience = now, min(2 * self._patience, max(LONGEST, self._first))
-        what, since = works[0]
-        return f"still {what}, {now - since:.0f} s so far"
+        work, since = works[0]
+        return f"still {work}, {now - since:.0f} s so far"
 
 
 progress = Progress()  # of this process

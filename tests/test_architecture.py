@@ -308,3 +308,31 @@ def test_forbidden_lines_are_found():
     }
     assert forbidden_imports(("stages", "push"), "import amrpic") == {"__init__"}
     assert forbidden_imports(("commands", "run"), "from ..pic import step\nfrom ..errors import AmrpicError") == set()
+
+
+# Names that say how something came, or point at it, instead of what it is.
+PRONOUNS = """
+    found one held there here given made wanted known kept mine theirs ours which what apart rest others another taken some both
+    shown then each every around it drawn seen none gone asked said more come came
+    """.split()
+MOST_PRONOUNS = 0.01  # of all bound names; may only fall
+
+
+def bound_names(text: str) -> Iterator[str]:
+    """Names that a source binds: variables, and parameters but those of operators, whose second operand is `other`."""
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            yield node.id
+        elif isinstance(node, ast.arg):
+            yield node.arg
+
+
+def test_bound_names_say_what_they_hold():
+    names = [name for path in python_files() for name in bound_names(path.read_text())]
+    pronouns = [name for name in names if name.strip("_") in PRONOUNS]
+    assert len(pronouns) <= MOST_PRONOUNS * len(names)
+
+
+def test_bound_names_are_found():
+    text = "found: int = 1\nfor one, _held in x:\n    pass\ndef f(given):\n    return lambda there: there.found"
+    assert sorted(bound_names(text)) == ["_held", "found", "given", "one", "there"]

@@ -44,22 +44,22 @@ def count(text: str) -> int:
     return number
 
 
-def seconds(what: str, least: float) -> Callable[[str], float]:
-    """Return a parser of a time up to an hour; `what` says in its message what the time is for."""
+def seconds(name: str, least: float) -> Callable[[str], float]:
+    """Return a parser of a time up to an hour; `name` says in its message what the time is for."""
 
     def parsed(text: str) -> float:
         time = float(text)
         if not least <= time <= 3600:
-            raise argparse.ArgumentTypeError(f"{text} s is no {what}; give {least:g} to 3600")
+            raise argparse.ArgumentTypeError(f"{text} s is no {name}; give {least:g} to 3600")
         return time
 
     parsed.__name__ = "seconds"  # argparse tells it for what is no number
     return parsed
 
 
-def scene_arguments(command: argparse.ArgumentParser, what: str = "a scene file in TOML") -> None:
-    """Add the scene file, or `what` may be in its place, and its overrides."""
-    command.add_argument("scene", metavar="SCENE", help=what)
+def scene_arguments(command: argparse.ArgumentParser, kind: str = "a scene file in TOML") -> None:
+    """Add the scene file, or `kind` may be in its place, and its overrides."""
+    command.add_argument("scene", metavar="SCENE", help=kind)
     command.add_argument(
         "--set",
         action="append",

@@ -21,8 +21,8 @@ from .methods import check_scene
 
 def add(commands: Commands) -> None:
     """Add the command to the parser."""
-    what = "check whether a scene can run, without running it, or whether what a run wrote is whole"
-    check = command(commands, "check", _check, what, "checking")
+    purpose = "check whether a scene can run, without running it, or whether what a run wrote is whole"
+    check = command(commands, "check", _check, purpose, "checking")
     scene_arguments(check, "a scene file in TOML, a file or checkpoint that a run wrote, or the folder of a run")
     check.add_argument("--ranks", type=count, default=1, metavar="N", help="number of ranks it is meant for")
     check.add_argument("--resolved", action="store_true", help="print the scene with all defaults filled in, as TOML")
@@ -31,13 +31,13 @@ def add(commands: Commands) -> None:
 def _check(chosen: argparse.Namespace) -> int:
     """Return the exit status of a check, which rank 0 does alone. Collective."""
     path = Path(chosen.scene)
-    found = from_rank_0(
+    summary = from_rank_0(
         MPI.COMM_WORLD, lambda: _of_output(path) if integrity.is_output(path) else _of_scene(chosen), InputError
     )
     if MPI.COMM_WORLD.rank == 0:
-        for stream, lines in ((sys.stdout, found.lines), (sys.stderr, found.notes)):
+        for stream, lines in ((sys.stdout, summary.lines), (sys.stderr, summary.notes)):
             print(*lines, sep="\n", end="\n" if lines else "", file=stream)
-    return found.status
+    return summary.status
 
 
 class Found(NamedTuple):

@@ -48,49 +48,53 @@ def _tolerance(text: str) -> float:
 
 
 def _compare(chosen: argparse.Namespace) -> int:
-    found = from_rank_0(MPI.COMM_WORLD, lambda: compare(Path(chosen.first), Path(chosen.second)))
+    comparison = from_rank_0(MPI.COMM_WORLD, lambda: compare(Path(chosen.first), Path(chosen.second)))
     if MPI.COMM_WORLD.rank == 0:
-        print("\n".join(lines(found, chosen.tolerance)))
-    return 0 if found.equal(chosen.tolerance) else DIFFERENT
+        print("\n".join(lines(comparison, chosen.tolerance)))
+    return 0 if comparison.equal(chosen.tolerance) else DIFFERENT
 
 
-def lines(found: Comparison, tolerance: float) -> Iterator[str]:
+def lines(comparison: Comparison, tolerance: float) -> Iterator[str]:
     """Yield the tables of a comparison: scenes, results, speed."""
-    if found.scenes:
-        yield from columns([("scene", "first", "second"), *((key, _brief(a), _brief(b)) for key, a, b in found.scenes)])
+    if comparison.scenes:
+        yield from columns(
+            [("scene", "first", "second"), *((key, _brief(a), _brief(b)) for key, a, b in comparison.scenes)]
+        )
     else:
         yield "scene: the same"
     yield ""
-    beyond = found.beyond(tolerance)
+    beyond = comparison.beyond(tolerance)
     yield from columns(
         [
             ("results", "compared", "different", "largest", "of"),
-            *(_summary(part, of_part, beyond[part]) for part, of_part in found.parts.items()),
+            *(_summary(part, of_part, beyond[part]) for part, of_part in comparison.parts.items()),
         ]
     )
     for part, different in beyond.items():
         if different:
-            rows = [(one.what, _number(one.relative), one.where) for one in different[:MOST]]
+            rows = [
+                (difference.what, _number(difference.relative), difference.where) for difference in different[:MOST]
+            ]
             yield ""
             yield from columns([(f"{part}, different", "relative", "where"), *rows])
             if len(different) > MOST:
                 yield f"and {len(different) - MOST} more"
     yield ""
-    yield from columns([("speed", "first", "second", "second / first"), *map(_speed, found.speed)])
+    yield from columns([("speed", "first", "second", "second / first"), *map(_speed, comparison.speed)])
     yield ""
-    for remark in found.remarks:
+    for remark in comparison.remarks:
         yield f"remark: {remark}"
-    same = "the same" if found.equal(tolerance) else "different"
+    same = "the same" if comparison.equal(tolerance) else "different"
     yield f"results are {same} within a relative tolerance of {tolerance:g}"
 
 
 def _summary(part: str, compared: list[Difference], different: list[Difference]) -> tuple[object, ...]:
-    worst = max(compared, key=lambda one: one.relative)
+    worst = max(compared, key=lambda difference: difference.relative)
     return part, len(compared), len(different), _number(worst.relative), worst.what if worst.relative > 0 else ""
 
 
-def _speed(one: tuple[str, float, float]) -> tuple[str, ...]:
-    what, first, second = one
+def _speed(measured: tuple[str, float, float]) -> tuple[str, ...]:
+    what, first, second = measured
     unit = "B" if what == "memory" else "s"
     ratio = f"{second / first:.2f}" if first > 0 else ""
     return what.replace("_", " "), quantity(first, unit), quantity(second, unit), ratio

@@ -63,7 +63,7 @@ def examine(comm: MPI.Comm) -> list[Check]:
         check("kernels", isa.description, FIX_TRILINOS),
         check("solve", (lambda: solve_known(comm)) if under_mpiexec() else solve_on_two_ranks, FIX_SOLVE),
     ]
-    return [worst(each) for each in zip(*comm.allgather(checks), strict=True)]
+    return [worst(of_ranks) for of_ranks in zip(*comm.allgather(checks), strict=True)]
 
 
 def check(subject: str, find: Callable[[], str], fix: str) -> Check:
@@ -76,7 +76,7 @@ def check(subject: str, find: Callable[[], str], fix: str) -> Check:
 
 def worst(checks: tuple[Check, ...]) -> Check:
     """The first check that failed, or the first."""
-    return next((one for one in checks if not one.passed), checks[0])
+    return next((check for check in checks if not check.passed), checks[0])
 
 
 def loaded(library: str) -> list[str]:
@@ -88,11 +88,11 @@ def loaded(library: str) -> list[str]:
 
 def one_mpi_library() -> str:
     """Return the MPI that mpi4py and the native module share; raise if there are two."""
-    here, there = MPI.Get_library_version().splitlines()[0].strip("\0 ,"), _native.mpi_library().strip("\0 ,")
+    of_mpi4py, of_module = MPI.Get_library_version().splitlines()[0].strip("\0 ,"), _native.mpi_library().strip("\0 ,")
     files = loaded("libmpi.so") + loaded("libmpich.so")
-    if here != there or len(files) != 1:
-        raise AmrpicError(f"mpi4py runs on {here}, the native module on {there}; loaded are {files}")
-    return f"{here.split(', package')[0]}, shared by mpi4py and the native module ({files[0]})"
+    if of_mpi4py != of_module or len(files) != 1:
+        raise AmrpicError(f"mpi4py runs on {of_mpi4py}, the native module on {of_module}; loaded are {files}")
+    return f"{of_mpi4py.split(', package')[0]}, shared by mpi4py and the native module ({files[0]})"
 
 
 def hdf5_works_beside_trilinos() -> str:
@@ -105,8 +105,8 @@ def hdf5_works_beside_trilinos() -> str:
         file["values"] = values
         if not np.array_equal(file["values"][()], values):
             raise AmrpicError("h5py reads back other numbers than it wrote")
-    beside = [path for path in loaded("libhdf5") if "h5py" not in path]
-    return f"h5py on HDF5 {running}" + (f", beside {', '.join(beside)}" if beside else "")
+    loaded_too = [path for path in loaded("libhdf5") if "h5py" not in path]
+    return f"h5py on HDF5 {running}" + (f", beside {', '.join(loaded_too)}" if loaded_too else "")
 
 
 def trilinos_and_backend() -> str:
@@ -115,8 +115,8 @@ def trilinos_and_backend() -> str:
     version = _native.trilinos_version()
     if not version:
         kokkos = _native.kokkos_backend()
-        there = f'"matrix-free", and "kokkos" on {kokkos}' if kokkos else '"matrix-free" alone'
-        return f"none: of the backends there is {there}, and no equations on scattered points"
+        backends = f'"matrix-free", and "kokkos" on {kokkos}' if kokkos else '"matrix-free" alone'
+        return f"none: of the backends there is {backends}, and no equations on scattered points"
     if tuple(int(part) for part in version.split(".")[:2]) < OLDEST_TRILINOS:
         raise AmrpicError(f"Trilinos {version} is older than 13.2")
     return f"{version} on {_native.kokkos_backend()}"
@@ -186,4 +186,4 @@ def _doctor(chosen: argparse.Namespace) -> int:
     checks = examine(MPI.COMM_WORLD)
     if MPI.COMM_WORLD.rank == 0:
         print("\n".join(map(str, checks)))
-    return 0 if all(one.passed for one in checks) else 1
+    return 0 if all(check.passed for check in checks) else 1

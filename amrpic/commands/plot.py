@@ -63,8 +63,8 @@ def _plot(chosen: argparse.Namespace) -> int:
     folder = None if chosen.output is None else Path(chosen.output)
     with together(MPI.COMM_WORLD, OutputError):
         if MPI.COMM_WORLD.rank == 0:
-            drawn = {"phase-space": _draw_particles, "losses": _draw_losses}.get(chosen.kind, _draw_fields)
-            print(*drawn(chosen, folder), sep="\n")
+            draw = {"phase-space": _draw_particles, "losses": _draw_losses}.get(chosen.kind, _draw_fields)
+            print(*draw(chosen, folder), sep="\n")
     return 0
 
 
@@ -75,20 +75,20 @@ def _draw_fields(chosen: argparse.Namespace, folder: Path | None) -> list[Path]:
         if not views:
             raise InputError(f"there is no {chosen.kind} by default of {dump.path}; name a --quantity")
         folder = folder or dump.path.parent
-        drawn = draw(dump, folder, with_options(views, **_given(chosen)))
+        pictures = draw(dump, folder, with_options(views, **_given(chosen)))
         if of_points(dump) and Path(chosen.path).is_dir() and not chosen.quantity:
             from ..mpm.pictures import draw_forces  # no other run imports it
 
-            drawn += draw_forces(Path(chosen.path), folder)
-    return drawn
+            pictures += draw_forces(Path(chosen.path), folder)
+    return pictures
 
 
 def _draw_particles(chosen: argparse.Namespace, folder: Path | None) -> list[Path]:
     from ..view.phase_space import OVERVIEW, plot  # matplotlib takes long to import
 
-    given = _given(chosen)
-    group = given.pop("group", "all")
-    for name in given:
+    options = _given(chosen)
+    group = options.pop("group", "all")
+    for name in options:
         raise InputError(f"{name} has no effect on phase space; leave it out, or choose another kind of picture")
     return plot(Path(chosen.path), folder, chosen.quantity or OVERVIEW, group)
 

@@ -77,12 +77,12 @@ def preview(comm: MPI.Comm, scene: Scene, ranks: int, seconds: float = 0.0) -> s
     start, of_start = start_of(comm, scene)
     notes += of_start
     setup = resolved(setup, bunches)
-    particles, gone = migrate(concatenate(bunches), base)
+    particles, outside = migrate(concatenate(bunches), base)
     beam = follow(MeshedParticles(particles, base, first_frames(particles, setup)), None, setup)
-    lost = gone.global_count(comm)
-    made = beam.particles.global_count(comm) + lost
+    lost = outside.global_count(comm)
+    count = beam.particles.global_count(comm) + lost
     if lost:
-        notes.append(f"{lost} of {made} particles lie outside the domain and would be lost")
+        notes.append(f"{lost} of {count} particles lie outside the domain and would be lost")
     with_time_step(setup, beam, None, course)
     if scene.motion.dt == "auto":
         notes.append("the particles' own field, which a preview does not solve for, may ask for a shorter motion.dt")
@@ -92,7 +92,7 @@ def preview(comm: MPI.Comm, scene: Scene, ranks: int, seconds: float = 0.0) -> s
         [scene.summary()],
         _levels(particles_per_cell),
         _bunches(comm, scene, bunches[1:], beam.hierarchy),
-        _memory(beam, made, ranks, setup),
+        _memory(beam, count, ranks, setup),
         _time(comm, scene, beam.hierarchy, ranks, made_in, seconds) if seconds > 0 else [],
         [f"note: {note}" for note in [*scene.remarks(), *setup.remarks.warnings, *setup.remarks.notes, *notes]],
         list(map(str, _pictures(scene, deposit(beam, setup), start, course.window))),
@@ -102,30 +102,30 @@ def preview(comm: MPI.Comm, scene: Scene, ranks: int, seconds: float = 0.0) -> s
 
 def _setup_without_solves(comm: MPI.Comm, scene: Scene) -> tuple[Setup, list[str]]:
     """Return the set-up of a scene whose rule asks for nothing that must be solved for, and what was changed for that."""
-    asked: list[str] = []
-    rule = _without_field(scene.refinement.rule, asked)
-    if not asked:
+    kinds: list[str] = []
+    rule = _without_field(scene.refinement.rule, kinds)
+    if not kinds:
         return set_up(comm, scene), []
     refinement = scene.refinement.model_copy(update={"rule": rule})
     note = (
-        f"refinement.rule asks for the field ({', '.join(asked)}), which a preview does not solve for; in its place cells "
+        f"refinement.rule asks for the field ({', '.join(kinds)}), which a preview does not solve for; in its place cells "
         f"are refined by charge-density, relative = {IN_PLACE:g}"
     )
     return set_up(comm, scene.model_copy(update={"refinement": refinement})), [note]
 
 
-def _without_field(rule: RuleKind, asked: list[str]) -> RuleKind:
-    """Return a rule with charge density in place of what needs a solve; `asked` grows by the kinds of these."""
+def _without_field(rule: RuleKind, kinds: list[str]) -> RuleKind:
+    """Return a rule with charge density in place of what needs a solve; `kinds` grows by the kinds of these."""
     match rule:
         case Combination():
-            return rule.model_copy(update={"of": [_without_field(one, asked) for one in rule.of]})
+            return rule.model_copy(update={"of": [_without_field(part, kinds) for part in rule.of]})
         case PotentialRule() | FieldStrengthRule():
             pass
         case CallableRule() if {"phi", "efield"} & set(rule.arguments):
             pass
         case _:
             return rule
-    asked.append(rule.kind)
+    kinds.append(rule.kind)
     return ChargeDensityRule(relative=IN_PLACE, levels=rule.levels)
 
 
@@ -139,17 +139,17 @@ def _levels(particles_per_cell: Field) -> list[str]:
     hierarchy = particles_per_cell.hierarchy
     rows: list[Sequence[object]] = [LEVELS]
     for level, numbers in enumerate(living(particles_per_cell)):
-        held = Histogram.of(hierarchy.comm, numbers[numbers > 0].astype(np.int64))
+        histogram = Histogram.of(hierarchy.comm, numbers[numbers > 0].astype(np.int64))
         rows.append(
             [
                 level,
                 len(hierarchy.boxes(level)),
                 hierarchy.cells(level),
                 hierarchy.width_text(level),
-                held.total,
-                f"{held.mean:.3g}",
-                held.median,
-                held.most,
+                histogram.total,
+                f"{histogram.mean:.3g}",
+                histogram.median,
+                histogram.most,
             ]
         )
     return columns(rows)
@@ -190,30 +190,30 @@ class Histogram:
         return int(self.values[-1]) if len(self.values) else 0
 
 
-def _bunches(comm: MPI.Comm, scene: Scene, made: Sequence[Particles], hierarchy: Hierarchy) -> list[str]:
+def _bunches(comm: MPI.Comm, scene: Scene, particles: Sequence[Particles], hierarchy: Hierarchy) -> list[str]:
     """Return the table of bunches, with their size over the cell width on each level along their narrowest axis. Collective.
 
-    `made` are the bunches one by one, in the order of the scene.
+    `particles` are the bunches one by one, in the order of the scene.
     """
     levels = range(hierarchy.levels)
     rows: list[Sequence[object]] = [
         ("bunches", "number", "particles of each", "charge of each", "sigma x, y, z", *(f"sigma/h {l}" for l in levels))
     ]
-    rest = iter(made)
+    copies_left = iter(particles)
     for number, bunch in enumerate(scene.bunches):
-        copies = list(itertools.islice(rest, bunch.copies))
+        copies = list(itertools.islice(copies_left, bunch.copies))
         size = np.sqrt(
             np.mean([moments(comm, copy, domain=hierarchy.domain).rms ** 2 for copy in copies], axis=0)
         )  # nan of an empty bunch
-        known = bool(np.isfinite(size).all())
+        is_finite = bool(np.isfinite(size).all())
         rows.append(
             [
                 f"{number} {bunch.name or bunch.distribution}",
                 len(copies),
                 copies[0].global_count(comm),
                 quantity(copies[0].total_charge(comm), "C"),
-                ", ".join(quantity(float(sigma), "m", float(size.max())) for sigma in size) if known else "none",
-                *(f"{(size / hierarchy.spacing(level)).min():.2g}" if known else "none" for level in levels),
+                ", ".join(quantity(float(sigma), "m", float(size.max())) for sigma in size) if is_finite else "none",
+                *(f"{(size / hierarchy.spacing(level)).min():.2g}" if is_finite else "none" for level in levels),
             ]
         )
     return columns(rows) if scene.bunches else []
@@ -232,22 +232,24 @@ def _memory(beam: MeshedParticles, particles: int, ranks: int, setup: Setup) -> 
     ]
 
 
-def _time(comm: MPI.Comm, scene: Scene, hierarchy: Hierarchy, ranks: int, made: float, seconds: float) -> list[str]:
+def _time(comm: MPI.Comm, scene: Scene, hierarchy: Hierarchy, ranks: int, making: float, seconds: float) -> list[str]:
     """Return how long a run will take, whose particles were made in so many s. Collective."""
     cells = hierarchy.cells()
     try:
         with progress("measuring how long a step takes"):
-            found = forecast(comm, scene, cells, made, seconds)
+            forecasted = forecast(comm, scene, cells, making, seconds)
     except AmrpicError as failure:
         return [f"time: a trial of the run ended with: {failure}"]
-    if found is None:
+    if forecasted is None:
         return [f"time: not known after {seconds:g} s; give a trial more of them by --seconds"]
-    start, step = (value * comm.size / ranks for value in (found.start, found.step))
+    start, step = (value * comm.size / ranks for value in (forecasted.start, forecasted.step))
     steps = scene.schedule.last_step
     shared = "" if ranks == comm.size else f", if {ranks} ranks share the work of {comm.size} evenly"
-    then = f", then {quantity(step, 's')} per step, {quantity(start + steps * step, 's')} for all" if steps else ""
-    source = f"from {found.source}{shared}; files and pictures at its end come on top"
-    return [f"time: {quantity(start, 's')} to the end of the first solve{then}; {source}"]
+    steps_text = (
+        f", then {quantity(step, 's')} per step, {quantity(start + steps * step, 's')} for all" if steps else ""
+    )
+    source = f"from {forecasted.source}{shared}; files and pictures at its end come on top"
+    return [f"time: {quantity(start, 's')} to the end of the first solve{steps_text}; {source}"]
 
 
 def _last_mesh(beam: MeshedParticles, setup: Setup) -> tuple[Hierarchy, str]:

@@ -35,10 +35,10 @@ class _Extent:
     @classmethod
     def of(cls, comm: MPI.Comm, bunch: Particles, domain: Domain) -> _Extent:
         """Return that of a bunch, nan without particles. Collective."""
-        found = moments(comm, bunch, domain=domain)
+        measured = moments(comm, bunch, domain=domain)
         ends = np.array([-bunch.position.min(axis=0, initial=np.inf), bunch.position.max(axis=0, initial=-np.inf)])
         first, last = comm.allreduce(ends, MPI.MAX)
-        return cls(found.mean, found.rms, -first, last)
+        return cls(measured.mean, measured.rms, -first, last)
 
 
 def warnings_of(scene: Scene, particles_per_cell: Field, bunches: Sequence[Particles]) -> list[str]:
@@ -48,18 +48,18 @@ def warnings_of(scene: Scene, particles_per_cell: Field, bunches: Sequence[Parti
     """
     comm, hierarchy = particles_per_cell.comm, particles_per_cell.hierarchy
     out: list[str] = []
-    rest = iter(bunches)
+    bunches_left = iter(bunches)
     for number, bunch in enumerate(scene.bunches):
-        copies = [_Extent.of(comm, copy, hierarchy.domain) for copy in itertools.islice(rest, bunch.copies)]
-        known = [one for one in copies if np.isfinite(one.rms).all() and one.rms.min() > 0]
-        if known:
-            out += _of_bunch(f"bunches.{number}", known, hierarchy)
+        copies = [_Extent.of(comm, copy, hierarchy.domain) for copy in itertools.islice(bunches_left, bunch.copies)]
+        sized = [extent for extent in copies if np.isfinite(extent.rms).all() and extent.rms.min() > 0]
+        if sized:
+            out += _of_bunch(f"bunches.{number}", sized, hierarchy)
     return [*out, *_few_in_cells(particles_per_cell)]
 
 
 def _of_bunch(name: str, copies: Sequence[_Extent], hierarchy: Hierarchy) -> Iterator[str]:
     domain, finest = hierarchy.domain, hierarchy.spacing(hierarchy.levels - 1)
-    cells = np.min([one.rms for one in copies], axis=0) / finest
+    cells = np.min([extent.rms for extent in copies], axis=0) / finest
     axis = int(np.argmin(cells))
     if falls_short(cells[axis], CELLS_PER_SIGMA):
         yield (
@@ -67,10 +67,11 @@ def _of_bunch(name: str, copies: Sequence[_Extent], hierarchy: Hierarchy) -> Ite
             f"{CELLS_PER_SIGMA:g} are advisable; raise refinement.levels or domain.cells"
         )
     for at, (side, face, end) in enumerate((("lower", domain.lower, "first"), ("upper", domain.upper, "last"))):
-        distance = np.min([np.abs(face - one.mean) / one.rms for one in copies], axis=0)
+        distance = np.min([np.abs(face - extent.mean) / extent.rms for extent in copies], axis=0)
         # beyond the last particle; a bunch that ends well before the face is none of these
         room = np.min(
-            [np.abs(face - one.mean) - np.abs(getattr(one, end) - one.mean) - one.rms for one in copies], axis=0
+            [np.abs(face - extent.mean) - np.abs(getattr(extent, end) - extent.mean) - extent.rms for extent in copies],
+            axis=0,
         )
         # walls may be near on purpose, as a cathode is
         cut = np.array([faces[at] == "open" for faces in domain.boundary]) & (room <= 0)
@@ -89,9 +90,9 @@ def _few_in_cells(particles_per_cell: Field) -> Iterator[str]:
         np.array([[numbers.sum(), np.count_nonzero(numbers)] for numbers in living(particles_per_cell)], dtype=float)
     )
     level = int(np.argmax(sums[:, 0]))
-    held, cells = sums[level]
-    if held > 0 and falls_short(held / cells, PARTICLES_PER_CELL):
+    particles, cells = sums[level]
+    if particles > 0 and falls_short(particles / cells, PARTICLES_PER_CELL):
         yield (
-            f"cells of level {level} that hold particles hold {held / cells:.2g} of them in the mean, where "
+            f"cells of level {level} that hold particles hold {particles / cells:.2g} of them in the mean, where "
             f"{PARTICLES_PER_CELL:g} are advisable: the density is mostly noise; use more particles or fewer levels"
         )

@@ -56,10 +56,14 @@ class Look:
     @classmethod
     def at(cls, folder: Path, status: RunStatus) -> Look:
         """Return how a run looks now. Raises InputError if its series is damaged."""
-        path, held, shown = folder / SERIES, {}, SHOWN_OF_POINTS if status.method == MPM else SHOWN
+        path, latest, columns_shown = folder / SERIES, {}, SHOWN_OF_POINTS if status.method == MPM else SHOWN
         if path.exists():
-            held = time_series.latest(path, list(shown), WIDTH)
-        series = [(name, sparkline(values), _value(values[-1], shown[name])) for name, values in held.items() if values]
+            latest = time_series.latest(path, list(columns_shown), WIDTH)
+        series = [
+            (name, sparkline(values), _value(values[-1], columns_shown[name]))
+            for name, values in latest.items()
+            if values
+        ]
         return cls(f"{status.scene}: {status.state}{': ' * bool(status.why)}{status.why}", _facts(status), series)
 
     @property
@@ -71,8 +75,8 @@ class Look:
 
 def sparkline(values: Sequence[float]) -> str:
     """Return bars between the least and the largest value, blank where one is nan."""
-    known = [value for value in values if math.isfinite(value)]
-    low, high = min(known, default=0.0), max(known, default=0.0)
+    finite = [value for value in values if math.isfinite(value)]
+    low, high = min(finite, default=0.0), max(finite, default=0.0)
     step = (high - low) / (len(BARS) - 1) or 1.0
     return "".join(BARS[round((value - low) / step)] if math.isfinite(value) else " " for value in values)
 
@@ -81,15 +85,15 @@ def _facts(status: RunStatus) -> list[tuple[str, str]]:
     done = f"{100 * status.step / status.of:.0f} %" if status.of else "100 %"
     pace, left = status.seconds_per_step, ""
     if status.state == RUNNING and status.estimated_end:
-        rest = datetime.fromisoformat(status.estimated_end) - datetime.now().astimezone()
-        left = f", {max(timedelta(seconds=round(rest.total_seconds())), timedelta(0))} left"
+        remaining = datetime.fromisoformat(status.estimated_end) - datetime.now().astimezone()
+        left = f", {max(timedelta(seconds=round(remaining.total_seconds())), timedelta(0))} left"
     written = ", ".join(f"{kind} {step}" for kind, step in status.written.items())
-    reached, *others = _of_points(status) if status.method == MPM else _of_particles(status)
+    reached, *facts_of_method = _of_points(status) if status.method == MPM else _of_particles(status)
     facts = [
         ("step", f"{status.step} of {status.of}, {done}"),
         reached,
         ("pace", f"{_value(pace, 's')} per step on {status.ranks} rank{'s' * (status.ranks > 1)}{left}"),
-        *others,
+        *facts_of_method,
         ("memory", f"{status.memory / 2**20:.0f} MiB on the largest rank"),
         ("written", f"steps: {written}" if written else "nothing yet"),
         ("updated", f"{status.updated}, process {status.process} on {status.host}"),
@@ -151,12 +155,12 @@ def _watch(chosen: argparse.Namespace) -> int:
     folder = Path(chosen.run)
     if not folder.is_dir():
         raise InputError(f"{folder} is no folder; give that of a run, such as runs/drift")
-    shown = None
+    latest = None
     while True:
         status = RunStatus.read(folder)
-        if status != shown:
+        if status != latest:
             show(Look.at(folder, status))
-        shown = status
+        latest = status
         if chosen.once or status.state != RUNNING:
             return ENDS.get(status.state, 1)
         time.sleep(chosen.every)

@@ -77,18 +77,18 @@ def given(mesh: Mesh, position: ArrayLike, volume: ArrayLike | None = None, weig
             if not (good := np.isfinite(volumes) & (volumes > 0)).all():
                 first = int(np.argmin(good))
                 raise InputError(f"the volume of point {first} is {volumes[first]}; give a positive one in m³")
-    found, reference = mesh.native.locate(places)
-    number = np.flatnonzero(found >= 0)
-    kept = mesh.comm.allreduce(len(number))
+    elements, reference = mesh.native.locate(places)
+    number = np.flatnonzero(elements >= 0)
+    count = mesh.comm.allreduce(len(number))
     raise_together(
         mesh.comm,
-        f"ranks gave different points: {kept} are kept of {len(places)}; give all of them on all ranks"
-        if kept != len(places)
+        f"ranks gave different points: {count} are kept of {len(places)}; give all of them on all ranks"
+        if count != len(places)
         else None,
         InputError,
     )
-    number = number[np.argsort(found[number], kind="stable")]
-    element = found[number]
+    number = number[np.argsort(elements[number], kind="stable")]
+    element = elements[number]
     if volumes is None:
         per_element = np.bincount(element, minlength=len(mesh.elements))
         own = mesh.element_volume / per_element[element]

@@ -35,8 +35,8 @@ class Operator:
 
         InputError on all ranks for an array of another shape.
         """
-        given, _ = checked_vector(self.mesh, u, "the vector", self.components)
-        return shaped(self.native.apply(given), self.components)
+        vector, _ = checked_vector(self.mesh, u, "the vector", self.components)
+        return shaped(self.native.apply(vector), self.components)
 
     def diagonal(self) -> np.ndarray:
         """Return the diagonal as a vector, exactly and without products with unit vectors. Collective."""

@@ -83,8 +83,8 @@ class Points:
     @property
     def volume(self) -> np.ndarray:
         """Volumes of the points, (n,) in m³."""
-        given = self._volume
-        return np.ascontiguousarray(given() if callable(given) else given, dtype=np.float64)
+        volume = self._volume
+        return np.ascontiguousarray(volume() if callable(volume) else volume, dtype=np.float64)
 
     @property
     def reference(self) -> np.ndarray:
@@ -118,17 +118,17 @@ class Points:
 
         InputError on all ranks for an array of another shape.
         """
-        given, components = checked_vector(self.mesh, u, "the vector")
-        return shaped(self.native.values(components, given), components)
+        vector, components = checked_vector(self.mesh, u, "the vector")
+        return shaped(self.native.values(components, vector), components)
 
     def slopes(self, u: ArrayLike) -> np.ndarray:
         """Return the gradient of a vector of the mesh at the points: (n, 3), or (n, 3, 3), ∂u_i/∂x_j, in 1/m. Collective.
 
         InputError on all ranks for an array of another shape.
         """
-        given, components = checked_vector(self.mesh, u, "the vector")
-        found = self.native.slopes(components, given)
-        return found.reshape(-1, 3) if components == 1 else found.reshape(-1, 3, 3)
+        vector, components = checked_vector(self.mesh, u, "the vector")
+        slopes = self.native.slopes(components, vector)
+        return slopes.reshape(-1, 3) if components == 1 else slopes.reshape(-1, 3, 3)
 
     def integrate(self, values: ArrayLike) -> np.ndarray:
         """Return the integrals of values at the points, (n,) or (n, 3), times each node's function: a vector. Collective.
@@ -136,12 +136,12 @@ class Points:
         InputError on all ranks for an array of another shape.
         """
         with together(self.mesh.comm, InputError):
-            given = numbers(values, len(self), "the array of values at points")
-        components = _components(given)
-        return shaped(self.native.integrals(components, given.reshape(-1)), components)
+            array = numbers(values, len(self), "the array of values at points")
+        components = _components(array)
+        return shaped(self.native.integrals(components, array.reshape(-1)), components)
 
 
-def reals(values: ArrayLike, what: str, shape: str) -> np.ndarray:
+def reals(values: ArrayLike, name: str, shape: str) -> np.ndarray:
     """Return values as a contiguous array of any shape. InputError if they are no real numbers. Local."""
     try:
         array = np.asarray(values)
@@ -149,7 +149,7 @@ def reals(values: ArrayLike, what: str, shape: str) -> np.ndarray:
             raise TypeError
         return np.asarray(array, dtype=np.float64, order="C")
     except (TypeError, ValueError):
-        raise InputError(f"{what} is no array of real numbers; give {shape}") from None
+        raise InputError(f"{name} is no array of real numbers; give {shape}") from None
 
 
 def mask_of(fixed: ArrayLike, count: int, components: int, shapes: str) -> np.ndarray:
@@ -171,11 +171,11 @@ def held_of(values: ArrayLike | float, shape: tuple[int, ...]) -> np.ndarray:
         raise InputError(f"values do not fit nodes; give a number or an array {shape} on this rank") from None
 
 
-def numbers(values: ArrayLike, count: int, what: str) -> np.ndarray:
+def numbers(values: ArrayLike, count: int, name: str) -> np.ndarray:
     """Return values as a contiguous array (count,) or (count, 3). InputError if they are something else. Local."""
-    array = reals(values, what, f"({count},) or ({count}, 3)")
+    array = reals(values, name, f"({count},) or ({count}, 3)")
     if array.shape not in ((count,), (count, 3)):
-        raise InputError(f"{what} has shape {array.shape} on a rank; give ({count},) or ({count}, 3) there")
+        raise InputError(f"{name} has shape {array.shape} on a rank; give ({count},) or ({count}, 3) there")
     return array
 
 
@@ -183,15 +183,15 @@ def _components(array: np.ndarray) -> int:
     return 1 if array.ndim == 1 else array.shape[1]
 
 
-def checked_vector(mesh: Mesh, u: ArrayLike, what: str, components: int | None = None) -> tuple[np.ndarray, int]:
+def checked_vector(mesh: Mesh, u: ArrayLike, name: str, components: int | None = None) -> tuple[np.ndarray, int]:
     """Return a vector of the mesh with its components side by side, and their number. Collective.
 
     InputError on all ranks if it is something else, or has other components than there must be.
     """
     with together(mesh.comm, InputError):
-        array = numbers(u, len(mesh.node_indices), what)
+        array = numbers(u, len(mesh.node_indices), name)
         if components is not None and _components(array) != components:
-            raise InputError(f"{what} has {_components(array)} components; the operator has {components}")
+            raise InputError(f"{name} has {_components(array)} components; the operator has {components}")
     return array.reshape(-1), _components(array)
 
 

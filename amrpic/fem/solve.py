@@ -78,14 +78,14 @@ def solve(
     right, _ = checked_vector(mesh, f, "the right-hand side", components)
     with together(mesh.comm, InputError):
         mask = _mask(operator, fixed)
-        held = _held(operator, values)
+        constrained = _held(operator, values)
         if preconditioner not in get_args(Preconditioner):
             raise InputError(f'preconditioner is "{preconditioner}"; use {", ".join(get_args(Preconditioner))}')
         if coarse not in get_args(Coarse):
             raise InputError(f'coarse is "{coarse}"; use {" or ".join(get_args(Coarse))}')
         _require_limits(tolerance, most_iterations)
         _require_finite(right[~mask], "the right-hand side of a free node")
-        _require_finite(held[mask], "the value of a fixed node")
+        _require_finite(constrained[mask], "the value of a fixed node")
     if isinstance(operator, Poisson):
         _require_balance(operator, right, mask, tolerance)
     start = time.perf_counter()
@@ -93,7 +93,7 @@ def solve(
         u, residuals, curved_down, native = operator.native.solve(
             right,
             mask,
-            held,
+            constrained,
             _number(preconditioner, coarse),
             tolerance,
             most_iterations,
@@ -130,10 +130,10 @@ def _require_limits(tolerance: float, most_iterations: int) -> None:
         raise InputError(f"most_iterations is {most}; give 1 to {MOST_ITERATIONS}")
 
 
-def _require_finite(values: np.ndarray, what: str) -> None:
+def _require_finite(values: np.ndarray, name: str) -> None:
     if not (good := np.isfinite(values)).all():
         raise InputError(
-            f"{what} is {values[np.argmin(good)]}, as {int((~good).sum())} are not finite on a rank; give numbers"
+            f"{name} is {values[np.argmin(good)]}, as {int((~good).sum())} are not finite on a rank; give numbers"
         )
 
 
@@ -141,8 +141,8 @@ def _require_balance(operator: Poisson, right: np.ndarray, mask: np.ndarray, tol
     """InputError on all ranks for a component of which no node is fixed, and what constants see of the right-hand side, its
     sum over √nodes, is more than the residual may be: no u has a residual without it."""
     components, comm = operator.components, operator.mesh.comm
-    f, held = right.reshape(-1, components), mask.reshape(-1, components)
-    counts = np.stack([held.sum(axis=0), f.sum(axis=0), (f**2).sum(axis=0), np.full(components, len(f))])
+    f, constrained = right.reshape(-1, components), mask.reshape(-1, components)
+    counts = np.stack([constrained.sum(axis=0), f.sum(axis=0), (f**2).sum(axis=0), np.full(components, len(f))])
     fixed, total, squares, nodes = comm.allreduce(counts)
     if not (alone := (fixed == 0) & (np.abs(total) > tolerance * np.sqrt(squares.sum() * nodes))).any():
         return

@@ -150,9 +150,9 @@ def cells_around(hierarchy: Mesh, points: ArrayLike, radius: ArrayLike) -> Neigh
     if not (distances > 0).all():
         raise InputError(f"point {int(np.argmin(distances))} has radius {distances.min()}; give a positive one")
 
-    def search(which: np.ndarray, lengths: np.ndarray) -> Neighbours:
+    def search(numbers: np.ndarray, lengths: np.ndarray) -> Neighbours:
         with _refused_as_input():
-            start, index = hierarchy.native.cells_around(np.ascontiguousarray(places[which]), lengths)
+            start, index = hierarchy.native.cells_around(np.ascontiguousarray(places[numbers]), lengths)
         return Neighbours(start, index, lengths)
 
     return replace(search(np.arange(len(places)), distances), search=search)
@@ -208,26 +208,26 @@ def nearby(
         row = int(np.argmin(distances))
         raise InputError(f"target {row} has reach {distances[row]}; give a longer one, or no sites in one place")
 
-    def search(which: np.ndarray, lengths: np.ndarray) -> Neighbours:
-        counts, found = [], []
-        for first in range(0, len(which), SEARCHED_TOGETHER):
-            some = slice(first, first + SEARCHED_TOGETHER)
-            lists = tree.query_ball_point(places[which[some]], lengths[some] * EQUAL, return_sorted=False)
+    def search(numbers: np.ndarray, lengths: np.ndarray) -> Neighbours:
+        counts, members = [], []
+        for first in range(0, len(numbers), SEARCHED_TOGETHER):
+            chunk = slice(first, first + SEARCHED_TOGETHER)
+            lists = tree.query_ball_point(places[numbers[chunk]], lengths[chunk] * EQUAL, return_sorted=False)
             counts.append(np.fromiter(map(len, lists), dtype=np.int64, count=len(lists)))
-            found.append(np.fromiter(chain.from_iterable(lists), dtype=np.int32, count=int(counts[-1].sum())))
+            members.append(np.fromiter(chain.from_iterable(lists), dtype=np.int32, count=int(counts[-1].sum())))
         start = np.concatenate([[0], *counts]).cumsum()
-        return Neighbours(start, np.concatenate([np.empty(0, np.int32), *found]), lengths)
+        return Neighbours(start, np.concatenate([np.empty(0, np.int32), *members]), lengths)
 
     # Ties are the mark of lattices, where reaches often have to grow: their sites are searched for once.
-    every = np.arange(len(places))
-    found = search(every, np.where(tied, GROWTH, 1.0) * distances)
+    all_places = np.arange(len(places))
+    neighbours = search(all_places, np.where(tied, GROWTH, 1.0) * distances)
 
-    def grown(which: np.ndarray, lengths: np.ndarray) -> Neighbours:
-        if tied[which].all() and (lengths <= GROWTH * EQUAL * distances[which]).all():
-            return replace(found.of(which), reach=lengths)
-        return search(which, lengths)
+    def grown(numbers: np.ndarray, lengths: np.ndarray) -> Neighbours:
+        if tied[numbers].all() and (lengths <= GROWTH * EQUAL * distances[numbers]).all():
+            return replace(neighbours.of(numbers), reach=lengths)
+        return search(numbers, lengths)
 
-    of = np.repeat(every, np.diff(found.start))
-    inside = ((where[found.index] - places[of]) ** 2).sum(axis=1) <= (distances[of] * EQUAL) ** 2
+    of = np.repeat(all_places, np.diff(neighbours.start))
+    inside = ((where[neighbours.index] - places[of]) ** 2).sum(axis=1) <= (distances[of] * EQUAL) ** 2
     start = np.concatenate([[0], np.bincount(of[inside], minlength=len(places)).cumsum()])
-    return Neighbours(start, found.index[inside], distances, grown)
+    return Neighbours(start, neighbours.index[inside], distances, grown)

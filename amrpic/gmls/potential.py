@@ -63,25 +63,25 @@ def poisson(
     Raises InputError for what does not fit together, and SolverError for a site whose fit is not determined, or if GMRES does
     not come down to the tolerance; the same on all ranks.
     """
-    mine = own(comm)
-    with together(mine, InputError):
-        given = _Given.checked(sites, rho, dirichlet, neumann)
+    own_comm = own(comm)
+    with together(own_comm, InputError):
+        data = _Given.checked(sites, rho, dirichlet, neumann)
         if not 0 < tolerance < 1:
             raise InputError(f"tolerance is {tolerance}; give a number between 0 and 1, for instance 1e-10")
-        rows = _Rows(mine, given, order, reach)
-    if given.bounded:
-        (phi,), reached = _solved(mine, rows, [rows.given], tolerance)
-        phi[given.fixed], missing = given.potential, 0.0
+        rows = _Rows(own_comm, data, order, reach)
+    if data.bounded:
+        (phi,), reached = _solved(own_comm, rows, [rows.given], tolerance)
+        phi[data.fixed], missing = data.potential, 0.0
     else:
         # Charge that the slopes do not balance leaves through one site, where its potential is steep. So both are found
         # roughly, and anew, to the tolerance, with what makes up for the charge.
-        (of_given, of_one), roughly = _solved(mine, rows, [rows.given, rows.of_one], tolerance**0.5)
-        missing = rows.missing(mine, of_given, of_one)
-        (phi,), reached = _solved(mine, rows, [rows.given + missing * rows.of_one], tolerance)
-        more = rows.missing(mine, phi, of_one, missing) - missing
-        phi += more * of_one
+        (of_given, of_one), roughly = _solved(own_comm, rows, [rows.given, rows.of_one], tolerance**0.5)
+        missing = rows.missing(own_comm, of_given, of_one)
+        (phi,), reached = _solved(own_comm, rows, [rows.given + missing * rows.of_one], tolerance)
+        added = rows.missing(own_comm, phi, of_one, missing) - missing
+        phi += added * of_one
         phi -= phi.mean()
-        missing += more
+        missing += added
         reached = max(roughly[0], reached[0]), reached[1]
     return PointPotential(phi, *reached, -missing * VACUUM_PERMITTIVITY, rows.quality)
 
@@ -91,14 +91,14 @@ def _solved(
 ) -> tuple[np.ndarray, tuple[int, float]]:
     """Return solutions (vectors, m) on all sites, the iterations and the residual of the worst. Collective; SolverError."""
     right = np.array(vectors)
-    found, iterations, residual = _native.solve_points(comm.py2f(), *rows.matrix, right, tolerance, MOST_ITERATIONS)
+    phi, iterations, residual = _native.solve_points(comm.py2f(), *rows.matrix, right, tolerance, MOST_ITERATIONS)
     if not residual <= tolerance:
         raise SolverError(
             f"GMRES stopped after {iterations} iterations at a residual of {residual:.1e}, not {tolerance:.0e}; take a longer "
             "reach, another order, or more evenly spaced sites"
         )
     values = np.zeros((len(right), rows.count))
-    values[:, rows.sites] = found
+    values[:, rows.sites] = phi
     return comm.allreduce(values), (iterations, residual)
 
 
@@ -132,35 +132,35 @@ class _Given:
             potential = _each(dirichlet[1], len(fixed), "the potentials of dirichlet")
         if neumann is not None:
             sloped = _numbers(neumann[0], len(where), "neumann")
-            if both := sorted(set(sloped.tolist()) & set(fixed.tolist())):
-                raise InputError(f"site {both[0]} has a potential and a slope; give one of them")
+            if twice := sorted(set(sloped.tolist()) & set(fixed.tolist())):
+                raise InputError(f"site {twice[0]} has a potential and a slope; give one of them")
             directions = finite(neumann[1], "the normals", 2)
             if directions.shape != (len(sloped), where.shape[1]):
                 raise InputError(f"the normals have shape {directions.shape}; give {(len(sloped), where.shape[1])}")
-            if not (there := directions.any(axis=1)).all():
-                raise InputError(f"the normal of site {sloped[int(np.argmin(there))]} is zero; give a direction")
+            if not (has_normal := directions.any(axis=1)).all():
+                raise InputError(f"the normal of site {sloped[int(np.argmin(has_normal))]} is zero; give a direction")
             normals[sloped], slopes[sloped] = directions, _each(neumann[2], len(sloped), "the slopes of neumann")
         if len(fixed) == len(where):
             raise InputError("all sites have a potential, so that none is to be found; leave some out of dirichlet")
         return cls(where, charge, fixed, potential, normals, slopes)
 
 
-def _numbers(given: ArrayLike, count: int, what: str) -> np.ndarray:
-    numbers = np.asarray(given)
+def _numbers(values: ArrayLike, count: int, name: str) -> np.ndarray:
+    numbers = np.asarray(values)
     if numbers.ndim != 1 or (numbers.size and numbers.dtype.kind not in "iu"):
-        raise InputError(f"the sites of {what} are not a list of whole numbers; give those of sites, 0 and up")
+        raise InputError(f"the sites of {name} are not a list of whole numbers; give those of sites, 0 and up")
     if numbers.size and not ((numbers >= 0) & (numbers < count)).all():
         wrong = numbers[(numbers < 0) | (numbers >= count)][0]
-        raise InputError(f"{what} names site {wrong}, but there are {count}; use 0 to {count - 1}")
+        raise InputError(f"{name} names site {wrong}, but there are {count}; use 0 to {count - 1}")
     if len(np.unique(numbers)) < len(numbers):
-        raise InputError(f"{what} names a site twice; leave one out")
+        raise InputError(f"{name} names a site twice; leave one out")
     return numbers.astype(np.int64)
 
 
-def _each(given: ArrayLike, count: int, what: str) -> np.ndarray:
-    values = finite(given, what)
+def _each(number_or_array: ArrayLike, count: int, name: str) -> np.ndarray:
+    values = finite(number_or_array, name)
     if values.shape not in ((1,), (count,)):
-        raise InputError(f"{what} have shape {values.shape} for {count} sites; give one number or one for each")
+        raise InputError(f"{name} have shape {values.shape} for {count} sites; give one number or one for each")
     return np.broadcast_to(values, count)
 
 
@@ -172,36 +172,36 @@ class _Rows:
     depend on more than on one of the boundary.
     """
 
-    def __init__(self, comm: Communicator, given: _Given, order: int, reach: float) -> None:
-        free = np.ones(len(given.sites), dtype=bool)
-        free[given.fixed] = False
+    def __init__(self, comm: Communicator, data: _Given, order: int, reach: float) -> None:
+        free = np.ones(len(data.sites), dtype=bool)
+        free[data.fixed] = False
         along = scipy.spatial.cKDTree(
-            given.sites
+            data.sites
         ).indices  # leaf by leaf: places near each other have numbers near each other
         unknown = along[free[along]]
         first, last = share(comm, len(unknown))
-        self.sites, self.count = unknown[first:last], len(given.sites)
-        targets = given.sites[self.sites]
-        exact = [Neumann(given.normals[self.sites])] if np.isfinite(given.normals).any() else []
-        found = stencils(
+        self.sites, self.count = unknown[first:last], len(data.sites)
+        targets = data.sites[self.sites]
+        exact = [Neumann(data.normals[self.sites])] if np.isfinite(data.normals).any() else []
+        weights = stencils(
             targets,
-            nearby(given.sites, targets, order=order, reach=reach),
+            nearby(data.sites, targets, order=order, reach=reach),
             space=Scalar(order),
-            samples=Points(given.sites),
+            samples=Points(data.sites),
             wanted=[LAPLACIAN],
             exact=exact,
         )
-        self.quality = found.quality
-        laplacian = found.matrix("laplacian")
-        f = -given.rho[self.sites] / VACUUM_PERMITTIVITY
+        self.quality = weights.quality
+        laplacian = weights.matrix("laplacian")
+        f = -data.rho[self.sites] / VACUUM_PERMITTIVITY
         if exact:
-            f = f - found.exact_weights[:, 0, 0] * given.slopes[self.sites]
-        self._f = f = f - laplacian[:, given.fixed] @ given.potential
+            f = f - weights.exact_weights[:, 0, 0] * data.slopes[self.sites]
+        self._f = f = f - laplacian[:, data.fixed] @ data.potential
         among = scipy.sparse.csr_array(laplacian[:, unknown])
         diagonal = among[np.arange(last - first), np.arange(first, last)]
         self._replaced = None
-        if not given.bounded:
-            distances = ((given.sites[unknown] - given.sites.mean(axis=0)) ** 2).sum(axis=1)
+        if not data.bounded:
+            distances = ((data.sites[unknown] - data.sites.mean(axis=0)) ** 2).sum(axis=1)
             row = int(np.argmin(distances)) - first
             if 0 <= row < last - first:
                 self._replaced = f[row], laplacian[[row]]

@@ -49,24 +49,28 @@ def merged(
     if len(parts) == 1:
         return parts[0][1]
     source, place = np.zeros(count, dtype=int), np.zeros(count, dtype=int)
-    for number, (which, _) in enumerate(parts):
-        source[which], place[which] = number, np.arange(len(which))
+    for number, (targets, _) in enumerate(parts):
+        source[targets], place[targets] = number, np.arange(len(targets))
     rows, exact_rows = parts[0][1].weights.shape[1], parts[0][1].exact_weights.shape[1]
     lengths = np.empty(count, dtype=np.int64)
     exact, path, judgements = np.empty((count, exact_rows, rows)), np.empty(count, np.int8), np.empty((3, count))
     for number, (_, part) in enumerate(parts):
-        mine = source == number
-        at = place[mine]
-        lengths[mine] = np.diff(part.start)[at]
-        exact[mine], path[mine], judgements[:, mine] = part.exact_weights[at], part.path[at], part.judgements[:, at]
+        own_targets = source == number
+        at = place[own_targets]
+        lengths[own_targets] = np.diff(part.start)[at]
+        exact[own_targets], path[own_targets], judgements[:, own_targets] = (
+            part.exact_weights[at],
+            part.path[at],
+            part.judgements[:, at],
+        )
     start = np.concatenate([[0], lengths.cumsum()])
     index, weights = np.empty(start[-1], np.int32), np.empty((start[-1], rows)) if room is None else room(start[-1])
     runs = pairwise(np.flatnonzero(np.diff(source, prepend=-1, append=-1)))  # of one part side by side
     for first, last in reversed(list(runs)):  # the last ones first, as those of the first part only move up
         of, at = parts[source[first]][1], place[first]
-        taken = slice(of.start[at], of.start[at + last - first])
-        index[start[first] : start[last]] = of.index[taken]
-        weights[start[first] : start[last]] = of.weights[taken]
+        entries = slice(of.start[at], of.start[at + last - first])
+        index[start[first] : start[last]] = of.index[entries]
+        weights[start[first] : start[last]] = of.weights[entries]
     return Solution(start, index, weights, exact, path, judgements)
 
 
@@ -95,16 +99,20 @@ class Collected:
             self._index[:filled], self._weights[:filled] = old[0][:filled], old[1][:filled]
         return self._weights[filled:needed]
 
-    def add(self, found: Solution) -> None:
+    def add(self, solution: Solution) -> None:
         """Take the solution of the next targets, whose weights are in the room already or not."""
-        room = self.room(len(found.index))
-        if found.weights.base is not self._weights:
-            room[:] = found.weights
+        room = self.room(len(solution.index))
+        if solution.weights.base is not self._weights:
+            room[:] = solution.weights
         filled = int(self._start[self._targets])
-        self._index[filled : filled + len(found.index)] = found.index
-        run = slice(self._targets, self._targets + len(found.path))
-        self._start[run.start + 1 : run.stop + 1] = filled + found.start[1:]
-        self._exact[run], self._path[run], self._judgements[:, run] = found.exact_weights, found.path, found.judgements
+        self._index[filled : filled + len(solution.index)] = solution.index
+        run = slice(self._targets, self._targets + len(solution.path))
+        self._start[run.start + 1 : run.stop + 1] = filled + solution.start[1:]
+        self._exact[run], self._path[run], self._judgements[:, run] = (
+            solution.exact_weights,
+            solution.path,
+            solution.judgements,
+        )
         self._targets = run.stop
 
     def all(self) -> Solution:
@@ -135,14 +143,14 @@ class Problem:
     aspect: tuple[float, float, float]
     portable: bool
 
-    def of(self, which: np.ndarray | slice) -> Problem:
+    def of(self, targets: np.ndarray | slice) -> Problem:
         """Return the problem of some of its targets."""
         return replace(
             self,
-            targets=self.targets[which],
-            wanted=_some(self.wanted, which),
-            exact=tuple(_some(e, which) for e in self.exact),
-            present=self.present[which],
+            targets=self.targets[targets],
+            wanted=_some(self.wanted, targets),
+            exact=tuple(_some(e, targets) for e in self.exact),
+            present=self.present[targets],
         )
 
     def solve(self, near: Neighbours, room: np.ndarray | None = None) -> Solution:
@@ -153,15 +161,18 @@ class Problem:
         if self.per_site > 1 and not self.split:
             near = Neighbours(*_per_component(near, self.per_site), near.reach)
         if self.present.all():
-            found = self._solve(near, np.ones(len(self.exact), bool), None if self.split else room)
+            solution = self._solve(near, np.ones(len(self.exact), bool), None if self.split else room)
         else:  # targets with the same exact rows together
             kinds, kind = np.unique(self.present, axis=0, return_inverse=True)
             groups = [np.flatnonzero(kind.ravel() == number) for number in range(len(kinds))]
-            parts = [(g, self.of(g)._solve(near.of(g), has)) for g, has in zip(groups, kinds, strict=True)]
-            found = merged(parts, len(near))
-        return self._expanded(found) if self.split else found
+            parts = [
+                (g, self.of(g)._solve(near.of(g), kinds_present))
+                for g, kinds_present in zip(groups, kinds, strict=True)
+            ]
+            solution = merged(parts, len(near))
+        return self._expanded(solution) if self.split else solution
 
-    def _solve(self, near: Neighbours, has: np.ndarray, room: np.ndarray | None = None) -> Solution:
+    def _solve(self, near: Neighbours, kinds_present: np.ndarray, room: np.ndarray | None = None) -> Solution:
         """Solve with some of the exact rows; weights of the others' data are zero."""
         count, rows = len(self.targets), self.wanted[0]
         out = Solution(
@@ -172,12 +183,12 @@ class Problem:
             np.empty(count, np.int8),
             np.empty((3, count)),
         )
-        exact = tuple(e for e, there in zip(self.exact, has, strict=True) if there)
+        exact = tuple(e for e, present in zip(self.exact, kinds_present, strict=True) if present)
         exact_weights = np.empty((count, len(exact), rows))
         self._native(near.start, near.index, near.reach, exact).solve(
             RESIDUAL_BOUND, SUM_BOUND, self.portable, out.weights, exact_weights, out.path, out.judgements
         )
-        out.exact_weights[:, has] = exact_weights
+        out.exact_weights[:, kinds_present] = exact_weights
         return out
 
     def equations(self, near: Neighbours) -> Callable[[int], tuple[np.ndarray, np.ndarray, np.ndarray]]:
@@ -204,28 +215,28 @@ class Problem:
             _merged(exact),
         )
 
-    def _expanded(self, found: Solution) -> Solution:
+    def _expanded(self, solution: Solution) -> Solution:
         """Weights of whole vectors, from those of the scalar problem that all components share."""
         d = self.per_site
-        weights = np.zeros((len(found.index), d, 1 + max(row for row, _, _ in self.split)))
+        weights = np.zeros((len(solution.index), d, 1 + max(row for row, _, _ in self.split)))
         for row, component, scalar in self.split:
-            weights[:, component, row] = found.weights[:, scalar]
-        start, index = _per_component(found, d)
+            weights[:, component, row] = solution.weights[:, scalar]
+        start, index = _per_component(solution, d)
         by_sample = weights.reshape(-1, weights.shape[2])
-        exact = np.empty((len(found.path), 0, weights.shape[2]))  # exact rows exist for scalar spaces alone
-        return replace(found, start=start, index=index, weights=by_sample, exact_weights=exact)
+        exact = np.empty((len(solution.path), 0, weights.shape[2]))  # exact rows exist for scalar spaces alone
+        return replace(solution, start=start, index=index, weights=by_sample, exact_weights=exact)
 
-    def require_one_sign(self, found: Solution, near_reach: np.ndarray) -> None:
+    def require_one_sign(self, solution: Solution, near_reach: np.ndarray) -> None:
         """Replace weights by some of one sign off the centre; targets that have none are marked, and their weights NaN."""
-        native = self._native(found.start, found.index, near_reach)
-        for t in np.flatnonzero(found.path < UNDETERMINED):
-            entries = slice(found.start[t], found.start[t + 1])
-            off = (self.sites[found.index[entries]] != self.targets[t]).any(axis=1)
-            alpha = found.weights[entries, 0]
+        native = self._native(solution.start, solution.index, near_reach)
+        for t in np.flatnonzero(solution.path < UNDETERMINED):
+            entries = slice(solution.start[t], solution.start[t + 1])
+            off = (self.sites[solution.index[entries]] != self.targets[t]).any(axis=1)
+            alpha = solution.weights[entries, 0]
             if (alpha[off] >= 0).all() or (alpha[off] <= 0).all():
                 continue
             rows, root, tau = native.equations(int(t))
-            found.path[t] = NO_SIGN
+            solution.path[t] = NO_SIGN
             for sign in (1.0, -1.0):
                 columns = np.hstack([rows.T, -rows[~off].T])
                 z, _ = scipy.optimize.nnls(columns, sign * tau[:, 0], maxiter=20 * columns.shape[1])
@@ -233,22 +244,22 @@ class Problem:
                 if missing <= RESIDUAL_BOUND * np.abs(tau).max():
                     total = z[: len(rows)].copy()
                     total[~off] -= z[len(rows) :]
-                    found.weights[entries, 0] = sign * total * root
-                    found.judgements[1, t] = missing / np.abs(tau).max()
-                    found.path[t] = ONE_SIGN
+                    solution.weights[entries, 0] = sign * total * root
+                    solution.judgements[1, t] = missing / np.abs(tau).max()
+                    solution.path[t] = ONE_SIGN
                     break
             else:
-                found.weights[entries] = np.nan
+                solution.weights[entries] = np.nan
 
-    def cause(self, found: Solution, target: int) -> str:
+    def cause(self, solution: Solution, target: int) -> str:
         """Return why a target has no stencil, and what to do."""
-        sites = self.sites[np.unique(found.index[found.start[target] : found.start[target + 1]])]
+        sites = self.sites[np.unique(solution.index[solution.start[target] : solution.start[target + 1]])]
         sites = np.unique(sites, axis=0)
         count, dimension = len(sites), self.targets.shape[1]
         unknowns = self.space.unknowns(dimension) // (self.per_site if self.split else 1)
-        if found.path[target] == NO_SIGN:
+        if solution.path[target] == NO_SIGN:
             return "it has no weights of one sign off the centre; take a longer reach, a lower order, or any signs"
-        if found.path[target] == DEPENDENT:
+        if solution.path[target] == DEPENDENT:
             return "its exact rows depend on each other, so that their data contradict each other; leave one out"
         spread = np.linalg.svd(sites - sites.mean(axis=0), compute_uv=False) if count else np.zeros(1)
         rank = int((spread > 1e-9 * max(spread[0], 1e-300)).sum()) if count else 0
@@ -257,7 +268,7 @@ class Problem:
             return f"its {count} sites lie {where[rank]}; give sites that do not"
         if count * self.per_site < unknowns:
             return f"its {count} sites are too few for {unknowns} unknowns of order {self.space.order}; take a longer reach"
-        residual, total = found.judgements[1:, target]
+        residual, total = solution.judgements[1:, target]
         return (
             f"its {count} sites do not determine order {self.space.order} (residual {residual:.1e}, sum of weights "
             f"{total:.1e}); take a longer reach or a lower order"
@@ -299,12 +310,12 @@ def assembled(
         else:
             sites = np.repeat(sites, dimension, axis=0)
             functional = Components(sites, np.tile(np.eye(dimension), (len(samples), 1))).functional
-    given = None
+    values = None
     if functional is not None and len(sites):
-        given = stacked([functional(basis)], dimension)
-        if len(given[2]) != len(sites):
+        values = stacked([functional(basis)], dimension)
+        if len(values[2]) != len(sites):
             raise InputError(
-                f"the samples have {len(given[2])} rows for {len(sites)} sites; give a place for each site"
+                f"the samples have {len(values[2])} rows for {len(sites)} sites; give a place for each site"
             )
     scale = np.ones(dimension) if aspect is None else finite(aspect, "the aspect", 1)
     if scale.shape != (dimension,) or not (scale > 0).all():
@@ -312,9 +323,11 @@ def assembled(
     if coefficients.size and (scale != scale[0]).any():
         raise InputError(f"{space} has no meaning in coordinates of different scales; leave the aspect out")
     present = [np.ones(len(targets), bool) if e.present is None else e.present for e in exact]
-    for e, there in zip(exact, present, strict=True):
-        if there.shape != (len(targets),):
-            raise InputError(f'the exact row "{e.name}" is given for {len(there)} of {len(targets)} targets; give all')
+    for e, is_present in zip(exact, present, strict=True):
+        if is_present.shape != (len(targets),):
+            raise InputError(
+                f'the exact row "{e.name}" is given for {len(is_present)} of {len(targets)} targets; give all'
+            )
     return Problem(
         targets,
         space,
@@ -322,7 +335,7 @@ def assembled(
         coefficients,
         np.ascontiguousarray(sites),
         per_site,
-        given,
+        values,
         stacked(functionals, dimension, targets),
         tuple(stacked([e.row(basis, targets)], dimension, targets) for e in exact),
         np.array(present, dtype=bool).reshape(len(exact), len(targets)).T,
@@ -359,7 +372,7 @@ def _require_fit(targets: np.ndarray, near: Neighbours, space: Space, samples: S
 
 def _of_components(rows: Sequence[Functional], components: int) -> tuple[list[Functional], list[tuple[int, int, int]]]:
     """Rows for vectors as rows for scalars, equal ones once: (row, component, row for scalars)."""
-    found: dict[tuple, int] = {}
+    numbers: dict[tuple, int] = {}
     scalars: list[Functional] = []
     split: list[tuple[int, int, int]] = []
     for row, functional in enumerate(rows):
@@ -371,10 +384,10 @@ def _of_components(rows: Sequence[Functional], components: int) -> tuple[list[Fu
                 (p.derivative, p.place.shape, p.place.tobytes(), id(p.half), p.coefficient.tobytes())
                 for p in of_one.parts
             )
-            if key not in found:
-                found[key] = len(scalars)
+            if key not in numbers:
+                numbers[key] = len(scalars)
                 scalars.append(of_one)
-            split.append((row, component, found[key]))
+            split.append((row, component, numbers[key]))
     return scalars, split
 
 
@@ -384,11 +397,11 @@ def _per_component(near: Neighbours | Solution, components: int) -> tuple[np.nda
     return near.start * components, index.astype(np.int32)
 
 
-def _some(rows: Native, which: np.ndarray | slice) -> Native:
+def _some(rows: Native, numbers: np.ndarray | slice) -> Native:
     count, terms, places, halves, coefficients = rows
     if len(places) == 1:
         return rows
-    return count, terms, places[which], None if halves is None else halves[which], coefficients[which]
+    return count, terms, places[numbers], None if halves is None else halves[numbers], coefficients[numbers]
 
 
 def _merged(rows: Sequence[Native]) -> Native | None:
@@ -398,10 +411,10 @@ def _merged(rows: Sequence[Native]) -> Native | None:
     count = max(len(r[2]) for r in rows)
     terms, places, row = [], 0, 0
     for r in rows:
-        more = r[1].copy()
-        more[:, 0] += row
-        more[:, 1] += places
-        terms.append(more)
+        merged_row = r[1].copy()
+        merged_row[:, 0] += row
+        merged_row[:, 1] += places
+        terms.append(merged_row)
         row, places = row + r[0], places + r[2].shape[1]
 
     def side_by_side(arrays: list[np.ndarray]) -> np.ndarray:

@@ -156,23 +156,23 @@ def _simplices(vertices: np.ndarray, direction: np.ndarray | None) -> Shapes:
 
 def _centres_and_widths(centres: ArrayLike, widths: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     places = finite(centres, "the centres of boxes", 2)
-    given = finite(widths, "the widths of boxes")
+    edges = finite(widths, "the widths of boxes")
     try:
-        wide = np.broadcast_to(given, places.shape)
+        wide = np.broadcast_to(edges, places.shape)
     except ValueError:
-        raise InputError(f"boxes have widths of shape {given.shape} for centres {places.shape}; let them fit") from None
+        raise InputError(f"boxes have widths of shape {edges.shape} for centres {places.shape}; let them fit") from None
     return places, np.array(wide)
 
 
 def _vertices(vertices: ArrayLike, corners: int, dimension: int | None = None) -> np.ndarray:
-    given = finite(vertices, "vertices", 3)
-    if given.shape[1] != corners or (dimension and given.shape[2] != dimension):
-        raise InputError(f"vertices have shape {given.shape}; give (n, {corners}, {dimension or '2 or 3'})")
-    return given
+    points = finite(vertices, "vertices", 3)
+    if points.shape[1] != corners or (dimension and points.shape[2] != dimension):
+        raise InputError(f"vertices have shape {points.shape}; give (n, {corners}, {dimension or '2 or 3'})")
+    return points
 
 
-def _unit_rows(vectors: np.ndarray, what: str) -> np.ndarray:
+def _unit_rows(vectors: np.ndarray, name: str) -> np.ndarray:
     lengths = np.linalg.norm(vectors, axis=1)
     if not (lengths > 0).all():
-        raise InputError(f"{what} {int(np.argmin(lengths))} has length or area zero; leave it out")
+        raise InputError(f"{name} {int(np.argmin(lengths))} has length or area zero; leave it out")
     return vectors / lengths[:, None]

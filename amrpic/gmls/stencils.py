@@ -115,33 +115,33 @@ class Stencils:
         Whole vectors: values (m, dimension), or (m, dimension, columns). `exact`: the data of each exact row, (n,) or
         (n, columns), by name; those of targets without the row are not read.
         """
-        given = np.asarray(values, dtype=float)
-        if given.ndim > 1 and len(given) != self.samples and given.shape[0] * given.shape[1] == self.samples:
-            given = given.reshape(self.samples, *given.shape[2:])
-        if given.ndim not in (1, 2) or len(given) != self.samples:
+        array = np.asarray(values, dtype=float)
+        if array.ndim > 1 and len(array) != self.samples and array.shape[0] * array.shape[1] == self.samples:
+            array = array.reshape(self.samples, *array.shape[2:])
+        if array.ndim not in (1, 2) or len(array) != self.samples:
             raise InputError(f"values have shape {np.shape(values)} for {self.samples} samples; give one row for each")
         data = dict(exact or {})
         if set(data) != set(self.exact):
             raise InputError(f"exact data are given for {sorted(data)}; these stencils need {sorted(self.exact)}")
-        columns = given.shape[1:]
+        columns = array.shape[1:]
         sums = np.empty((len(self), self.solved.shape[1], *columns))
         for first in range(0, len(self), TOGETHER):
-            some = slice(first, min(first + TOGETHER, len(self)))
-            start = self.start[some.start : some.stop + 1]
-            index, weights = self.index[start[0] : start[-1]], self._weights(slice(None), some)
+            chunk = slice(first, min(first + TOGETHER, len(self)))
+            start = self.start[chunk.start : chunk.stop + 1]
+            index, weights = self.index[start[0] : start[-1]], self._weights(slice(None), chunk)
             for row in range(self.solved.shape[1]):
                 matrix = scipy.sparse.csr_array(
                     (weights[:, row], index, start - start[0]), (len(start) - 1, self.samples)
                 )
-                sums[some, row] = matrix @ given
+                sums[chunk, row] = matrix @ array
         for number, name in enumerate(self.exact):
             datum = np.asarray(data[name], dtype=float)
             if datum.shape != (len(self), *columns):
                 raise InputError(f'the data "{name}" have shape {datum.shape}; give {(len(self), *columns)}')
             weight = self.exact_weights[:, number]
-            there = weight.any(axis=1)
-            extra = np.einsum("tr,t...->tr...", weight[there], datum[there])
-            sums[there] += extra
+            has_weight = weight.any(axis=1)
+            extra = np.einsum("tr,t...->tr...", weight[has_weight], datum[has_weight])
+            sums[has_weight] += extra
         return {name: sums[:, rows].reshape(len(self), *shape, *columns) for name, (rows, shape) in self.rows.items()}
 
     def _rows(self, name: str) -> tuple[slice, tuple[int, ...]]:
@@ -203,16 +203,16 @@ def stencils(
     growth = np.zeros(len(places), dtype=np.int8)
     collected = Collected(near, problem)
     for run in near.runs(SOLVED_TOGETHER, WRITTEN_TOGETHER // (8 * collected.rows)):
-        mine = problem.of(run)
+        of_run = problem.of(run)
         room = collected.room(problem.per_site * int(near.start[run.stop] - near.start[run.start]))
-        parts = [(np.arange(run.stop - run.start), mine.solve(near.run(run), room))]
+        parts = [(np.arange(run.stop - run.start), of_run.solve(near.run(run), room))]
         for times in range(1, GROWTHS + 1):
-            which, latest = parts[-1]
-            again = which[latest.path == UNDETERMINED]
+            members, latest = parts[-1]
+            again = members[latest.path == UNDETERMINED]
             larger = near.grown(run.start + again, GROWTH**times) if again.size else None
             if larger is None:
                 break
-            parts.append((again, mine.of(again).solve(larger)))
+            parts.append((again, of_run.of(again).solve(larger)))
             growth[run][again] = times
         collected.add(merged(parts, run.stop - run.start, collected.room))
     solution = collected.all()
@@ -242,18 +242,18 @@ def _shared(
     near: Neighbours,
     samples: Samples,
     unit: np.ndarray,
-    wanted: Sequence[Wanted],
+    functionals: Sequence[Wanted],
     exact: Sequence[Exact],
     **options: Any,
 ) -> Stencils:
     """Return stencils of which those with equal surroundings were solved once."""
-    if exact or samples.whole or any(w.varies for w in wanted):
+    if exact or samples.whole or any(w.varies for w in functionals):
         raise InputError(
             "with a lattice all targets want the same; leave out the lattice, or exact rows, vectors and places"
         )
     ordered, representative, kind = near.equal_surroundings(targets, samples.sites, unit)
     few = ordered.of(representative)  # without growth, which would change surroundings
-    solved = stencils(targets[representative], few, samples=samples, wanted=wanted, **options)
+    solved = stencils(targets[representative], few, samples=samples, wanted=functionals, **options)
     quality = Quality(*(getattr(solved.quality, f.name)[kind] for f in fields(Quality)))
     return replace(
         solved,

@@ -93,11 +93,13 @@ def surface(
 def _frames(targets: np.ndarray, sites: np.ndarray, near: Neighbours, normals: ArrayLike | None) -> np.ndarray:
     """Return rows of two tangents and the normal, (n, 3, 3)."""
     if normals is not None:
-        given = finite(normals, "the normals", 2)
-        lengths = np.linalg.norm(given, axis=1)
-        if given.shape != targets.shape or not (lengths > 0).all():
-            raise InputError(f"normals have shape {given.shape} and least length {lengths.min()}; give one per target")
-        n = given / lengths[:, None]
+        vectors = finite(normals, "the normals", 2)
+        lengths = np.linalg.norm(vectors, axis=1)
+        if vectors.shape != targets.shape or not (lengths > 0).all():
+            raise InputError(
+                f"normals have shape {vectors.shape} and least length {lengths.min()}; give one per target"
+            )
+        n = vectors / lengths[:, None]
         least = np.eye(3)[np.abs(n).argmin(axis=1)]
         first = np.cross(n, least)
         first /= np.linalg.norm(first, axis=1)[:, None]

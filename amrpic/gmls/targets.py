@@ -34,8 +34,8 @@ class Wanted:
 
     def at(self, places: ArrayLike, name: str | None = None) -> Wanted:
         """Return the same at places (n, k, dimension), k for each target."""
-        given = finite(places, f"the places of {self.name}", 3)
-        return replace(self, further=given, name=name or self.name)
+        positions = finite(places, f"the places of {self.name}", 3)
+        return replace(self, further=positions, name=name or self.name)
 
     def called(self, name: str) -> Wanted:
         """Return the same under another name."""
@@ -177,19 +177,19 @@ def ExactMean(shapes: Shapes) -> Exact:
 
 def Dirichlet(places: ArrayLike) -> Exact:
     """Return that the value at a place for each target, (n, dimension), is the datum; rows of NaN: not there."""
-    given = np.asarray(places, dtype=float)
-    present = np.isfinite(given).all(axis=1)
-    return Exact("dirichlet", lambda basis, t: basis(np.where(present[:, None], given, t) - t), present)
+    array = np.asarray(places, dtype=float)
+    present = np.isfinite(array).all(axis=1)
+    return Exact("dirichlet", lambda basis, t: basis(np.where(present[:, None], array, t) - t), present)
 
 
 def Neumann(normals: ArrayLike, places: ArrayLike | None = None) -> Exact:
     """Return that the slope along normals (n, dimension) is the datum, at the targets or places; rows of NaN: not there."""
-    given = np.asarray(normals, dtype=float)
-    present = np.isfinite(given).all(axis=1)
-    lengths = np.linalg.norm(np.where(present[:, None], given, 1.0), axis=1)
+    array = np.asarray(normals, dtype=float)
+    present = np.isfinite(array).all(axis=1)
+    lengths = np.linalg.norm(np.where(present[:, None], array, 1.0), axis=1)
     if not (lengths > 0).all():
         raise InputError(f"normal {int(np.argmin(lengths))} is zero; give a direction, or NaN where there is none")
-    units = np.where(present[:, None], given, 1.0) / lengths[:, None]
+    units = np.where(present[:, None], array, 1.0) / lengths[:, None]
 
     def row(basis: Basis, targets: np.ndarray) -> Functional:
         at = np.zeros_like(targets) if places is None else finite(places, "the places", 2) - targets
@@ -200,8 +200,8 @@ def Neumann(normals: ArrayLike, places: ArrayLike | None = None) -> Exact:
 
 def names(wanted: Sequence[Wanted]) -> None:
     """InputError if two of the quantities have one name."""
-    seen: set[str] = set()
+    known_names: set[str] = set()
     for quantity in wanted:
-        if quantity.name in seen:
+        if quantity.name in known_names:
             raise InputError(f'two quantities are called "{quantity.name}"; give one another name with called("…")')
-        seen.add(quantity.name)
+        known_names.add(quantity.name)

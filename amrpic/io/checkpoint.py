@@ -284,8 +284,8 @@ def _read_share(comm: MPI.Comm, path: Path, contents: Contents, owners: Sequence
     fields: dict[str, list[Array]] = {name: [] for name in contents.fields}
     with h5py.File(path / STATE, "r", locking=False) as h5:
         for level, boxes in enumerate(header.boxes):
-            mine = np.flatnonzero(owners[level] == comm.rank)
-            slices = _joined(contents.starts(level)[mine], cells_of(boxes)[mine])
+            own_boxes = np.flatnonzero(owners[level] == comm.rank)
+            slices = _joined(contents.starts(level)[own_boxes], cells_of(boxes)[own_boxes])
             for name in contents.fields:
                 fields[name].append(_rows(h5[f"level{level}/{name}"], slices))
         tables = {}

@@ -36,15 +36,15 @@ def newest_first(directory: Path) -> list[Path]:
     return sorted(finished, key=lambda path: (_written(path), path.name), reverse=True)
 
 
-def prune(comm: MPI.Comm, directory: Path, keep: int, every: int = 0) -> None:
-    """Delete all but the newest `keep` checkpoints of a directory, and those of steps that are multiples of `every`.
+def prune(comm: MPI.Comm, directory: Path, keep: int, stride: int = 0) -> None:
+    """Delete all but the newest `keep` checkpoints of a directory, and those of steps that are multiples of `stride`.
 
     Collective; 0: no such steps.
     """
     with together(comm, OutputError):
         for old in newest_first(Path(directory))[max(keep, 1) :] if comm.rank == 0 else ():
             match = NAME.match(old.name)
-            if match is None or every == 0 or int(match["step"]) % every != 0:
+            if match is None or stride == 0 or int(match["step"]) % stride != 0:
                 remove(old)
 
 

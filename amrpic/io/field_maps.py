@@ -38,9 +38,9 @@ def read(file: str | Path, iteration: int | None = None) -> FieldMap:
     with opened(path, "field map", "write it anew by the standard 1.1") as h5:
         meshes = h5[base(h5, f"field map {path}", iteration) + text(h5.attrs["meshesPath"])]
         fields = {name: _read_mesh(path, meshes[name], name) for name in DIMENSION if name in meshes}
-        found = ", ".join(meshes) or "nothing"
+        names = ", ".join(meshes) or "nothing"
     if not fields:
-        raise InputError(f"field map {path} holds {found} where E or B were expected; name the records E and B")
+        raise InputError(f"field map {path} holds {names} where E or B were expected; name the records E and B")
     return _joined(path, list(fields.values()))
 
 
@@ -78,8 +78,8 @@ def _read_mesh(path: Path, mesh: h5py.Group, name: str) -> FieldMap:
         if key in mesh
     }
     if not read:
-        found = ", ".join(mesh) or "no components"
-        raise InputError(f"{where} holds {found}; write the components {', '.join(COMPONENTS[geometry])}")
+        names = ", ".join(mesh) or "no components"
+        raise InputError(f"{where} holds {names}; write the components {', '.join(COMPONENTS[geometry])}")
     shape, place = _same(where, read)
     values = np.zeros((*shape, 3))
     for number, key in enumerate(COMPONENTS[geometry]):
@@ -125,10 +125,10 @@ def _component(where: str, component: h5py.Dataset | h5py.Group, geometry: str) 
 
 def _same(where: str, read: dict[str, tuple[Array, Array]]) -> tuple[tuple[int, ...], Array]:
     """Return the shape and the place in a cell that all components have."""
-    (values, place), *others = read.values()
-    for other, other_place in others:
-        if other.shape != values.shape:
-            raise InputError(f"{where} has components of shapes {values.shape} and {other.shape}; give all one shape")
+    (values, place), *of_meshes = read.values()
+    for of_mesh, other_place in of_meshes:
+        if of_mesh.shape != values.shape:
+            raise InputError(f"{where} has components of shapes {values.shape} and {of_mesh.shape}; give all one shape")
         if not np.array_equal(other_place, place):
             raise InputError(
                 f"{where} has components at the places {place.tolist()} and {other_place.tolist()} of a cell; "
@@ -138,15 +138,17 @@ def _same(where: str, read: dict[str, tuple[Array, Array]]) -> tuple[tuple[int, 
 
 
 def _require_dimension(where: str, mesh: h5py.Group, expected: tuple[int, ...]) -> None:
-    found = tuple(mesh.attrs.get("unitDimension", expected))
-    if found != expected:
-        raise InputError(f"{where} has the dimension {dimension_text(found)}; it should be {dimension_text(expected)}")
+    dimension = tuple(mesh.attrs.get("unitDimension", expected))
+    if dimension != expected:
+        raise InputError(
+            f"{where} has the dimension {dimension_text(dimension)}; it should be {dimension_text(expected)}"
+        )
 
 
 def _require_axes(where: str, mesh: h5py.Group, expected: tuple[str, ...]) -> None:
-    found = _texts(mesh.attrs["axisLabels"])
-    if sorted(found) != sorted(expected):
-        raise InputError(f"{where} has the axes {', '.join(found)}; write {', '.join(expected)}")
+    labels = _texts(mesh.attrs["axisLabels"])
+    if sorted(labels) != sorted(expected):
+        raise InputError(f"{where} has the axes {', '.join(labels)}; write {', '.join(expected)}")
 
 
 def _per_axis(where: str, mesh: h5py.Group, key: str, axes: int) -> Array:

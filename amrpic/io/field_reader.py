@@ -76,11 +76,11 @@ class Dump(Composite):
         )
 
     def _read_description(self) -> None:
-        root, ours = self._h5["VTKHDF"], self._h5["amrpic"]
-        self.step, self.time = int(ours.attrs["step"]), float(ours.attrs["time"])  # time in s
-        self.version, self.seed = str(ours.attrs["version"]), int(ours.attrs["seed"])
-        self.lower, self.upper = np.array(root.attrs["Origin"]), np.array(ours.attrs["upper"])  # m
-        self.window = window_of({key.removeprefix("window_"): value for key, value in ours.attrs.items()})
+        root, amrpic = self._h5["VTKHDF"], self._h5["amrpic"]
+        self.step, self.time = int(amrpic.attrs["step"]), float(amrpic.attrs["time"])  # time in s
+        self.version, self.seed = str(amrpic.attrs["version"]), int(amrpic.attrs["seed"])
+        self.lower, self.upper = np.array(root.attrs["Origin"]), np.array(amrpic.attrs["upper"])  # m
+        self.window = window_of({key.removeprefix("window_"): value for key, value in amrpic.attrs.items()})
         self.levels = [self._read_level(root[f"Level{l}"]) for l in range(sum(key.startswith("Level") for key in root))]
         self.units = {name: str(values.attrs["unit"]) for name, values in root["Level0/CellData"].items()}
 
@@ -129,16 +129,16 @@ class CheckpointDump(Dump):
         self.version, self.seed = header.about.version, header.about.seed
         self.window = window_of(header.extra.get("course", {}).get("window", {}))
         domain = Domain(*(header.domain[key] for key in ("lower", "upper", "cells")))
-        spacing, shown = domain.spacing, self.window.shown(domain)
-        self.lower, self.upper = np.array(shown.lower), np.array(shown.upper)  # m
+        spacing, domain_shown = domain.spacing, self.window.shown(domain)
+        self.lower, self.upper = np.array(domain_shown.lower), np.array(domain_shown.upper)  # m
         self.levels = [
             Level(spacing / 2**level, boxes, contents.starts(level)) for level, boxes in enumerate(header.boxes)
         ]
         self._stored = set(contents.fields)
         members = header.extra.get("frames", {}).get("members", [])
         self._beta = Frame(**members[0]).beta if len(members) == 1 else (0.0, 0.0, 0.0)
-        has = {"E": "efield_x" in self._stored, "B": "bfield_x" in self._stored or any(self._beta)}
-        self.units = {name: unit for name, unit in UNITS.items() if has.get(name, name in self._stored)}
+        present = {"E": "efield_x" in self._stored, "B": "bfield_x" in self._stored or any(self._beta)}
+        self.units = {name: unit for name, unit in UNITS.items() if present.get(name, name in self._stored)}
 
     def is_vector(self, name: str) -> bool:
         return name in ("E", "B")
@@ -203,8 +203,8 @@ def open_dump(path: Path) -> Dump:
     if not path.is_dir():
         return Dump(path)
     for pattern, kind in (("fields_*.vtkhdf", Dump), ("checkpoint_????????", CheckpointDump)):
-        if found := sorted(path.glob(pattern)):
-            return kind(found[-1])
+        if paths := sorted(path.glob(pattern)):
+            return kind(paths[-1])
     raise InputError(
         f"{path} holds neither fields_*.vtkhdf nor checkpoint_*; name a folder that a run wrote into, or a dump in it"
     )

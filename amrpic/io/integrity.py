@@ -28,13 +28,13 @@ def require_whole(path: Path) -> int:
     path = Path(path)
     if not path.exists():
         raise InputError(f"{path} does not exist; give a file that a run wrote, or the folder of a run")
-    found = [path] if _check_of(path) is not None else sorted(_outputs(path)) if path.is_dir() else []
-    if not found:
+    outputs = [path] if _check_of(path) is not None else sorted(_outputs(path)) if path.is_dir() else []
+    if not outputs:
         raise InputError(f"{path} is nothing that a run writes; give a file that a run wrote, or the folder of a run")
-    problems = [problem for one in found if (problem := _problem(one)) is not None]
+    problems = [problem for output in outputs if (problem := _problem(output)) is not None]
     if problems:
         raise InputError("\n".join(problems))
-    return len(found)
+    return len(outputs)
 
 
 def _outputs(folder: Path) -> Iterator[Path]:

@@ -31,8 +31,8 @@ UNREADABLE = (
 
 
 @contextlib.contextmanager
-def opened(path: Path, what: str, remedy: str) -> Iterator[h5py.File]:
-    """Open a file for a while; whatever goes wrong becomes InputError, in words of `what` it is and a `remedy`."""
+def opened(path: Path, kind: str, remedy: str) -> Iterator[h5py.File]:
+    """Open a file for a while; whatever goes wrong becomes InputError, in words of `kind` it is and a `remedy`."""
     require_readable(Path(path))
     try:
         with h5py.File(path, "r", locking=False) as h5:
@@ -40,10 +40,10 @@ def opened(path: Path, what: str, remedy: str) -> Iterator[h5py.File]:
             yield h5
     except FileNotFoundError:
         raise InputError(
-            f"{what} {path} does not exist; correct the path (relative ones start at the scene file)"
+            f"{kind} {path} does not exist; correct the path (relative ones start at the scene file)"
         ) from None
     except UNREADABLE as reason:
-        raise InputError(f"{what} {path} cannot be read as openPMD ({one_line(reason)}); {remedy}") from None
+        raise InputError(f"{kind} {path} cannot be read as openPMD ({one_line(reason)}); {remedy}") from None
 
 
 def base(h5: h5py.File, where: str, iteration: int | None) -> str:
@@ -55,13 +55,13 @@ def base(h5: h5py.File, where: str, iteration: int | None) -> str:
     return before + chosen(where, "iteration", list(h5[before]), iteration) + after
 
 
-def chosen(where: str, key: str, names: Sequence[str], wanted: str | int | None) -> str:
+def chosen(where: str, key: str, names: Sequence[str], choice: str | int | None) -> str:
     """Return the name that is wanted, a number if it is one, or the only one; raises InputError if there is not one such."""
-    found = [name for name in names if wanted is None or name == wanted or (name.isdigit() and int(name) == wanted)]
-    if len(found) == 1:
-        return found[0]
-    what = f"no {key} {wanted}" if wanted is not None else f"{len(names)} {key}s"
-    raise InputError(f"{where} holds {what}; set {key} to one of {', '.join(names) or 'another file'}")
+    matches = [name for name in names if choice is None or name == choice or (name.isdigit() and int(name) == choice)]
+    if len(matches) == 1:
+        return matches[0]
+    problem = f"no {key} {choice}" if choice is not None else f"{len(names)} {key}s"
+    raise InputError(f"{where} holds {problem}; set {key} to one of {', '.join(names) or 'another file'}")
 
 
 def dimension_text(powers: Iterable[Any]) -> str:

@@ -81,13 +81,13 @@ def write(
                         window,
                         _from(path, fields_file),
                     )
-            shown = [fields_file]
+            files = [fields_file]
             if particles_file is not None:
                 group = f"/data/{step}/particles"
                 set_text(h5, "particlesPath", "particles/")
                 h5[group] = h5py.ExternalLink(_from(path, particles_file), group)
-                shown.append(particles_file)
-            name_parts(h5, path.parent, shown)
+                files.append(particles_file)
+            name_parts(h5, path.parent, files)
         publish(path)
 
     if hierarchy.comm.rank == 0:
@@ -95,9 +95,9 @@ def write(
     attempts.settle(hierarchy.comm)
 
 
-def _from(path: Path, other: Path) -> str:
+def _from(path: Path, target: Path) -> str:
     """Return how a file is named in another one."""
-    return os.path.relpath(other, path.parent)
+    return os.path.relpath(target, path.parent)
 
 
 def _add(

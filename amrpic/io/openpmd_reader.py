@@ -59,7 +59,7 @@ def groups(file: str | Path) -> list[str]:
     """Return the names of the groups of particles in a file of one iteration; "" of a group without one. Raises InputError."""
     with _opened(Path(file)) as h5:
         particles = _particles(Path(file), h5, None)
-        return [""] if "position" in particles else [name for name, one in particles.items() if "position" in one]
+        return [""] if "position" in particles else [name for name, member in particles.items() if "position" in member]
 
 
 @dataclass(frozen=True)
@@ -98,11 +98,15 @@ def when(file: str | Path, iteration: int | None = None, group: str | None = Non
     path = Path(file)
     with _opened(path) as h5:
         where = base(h5, f"particle file {path}", iteration)
-        attributes, held = h5[where].attrs, _particles(path, h5, iteration)
+        attributes, particles = h5[where].attrs, _particles(path, h5, iteration)
         number = where.rstrip("/").rpartition("/")[2]
         step = int(number) if number.isdigit() else 0
-        members = [held] if "position" in held else [one for one in held.values() if "position" in one]
-        of_group = [one for one in members if group is None or one.name.rpartition("/")[2] == group] or members
+        members = (
+            [particles]
+            if "position" in particles
+            else [member for member in particles.values() if "position" in member]
+        )
+        of_group = [member for member in members if group is None or member.name.rpartition("/")[2] == group] or members
         time = _Source(path, of_group[0]).time() if of_group else None
         if time is None and "time" in attributes:
             time = float(attributes["time"]) * float(attributes.get("timeUnitSI", 1.0))
@@ -118,8 +122,8 @@ def domain_of(file: str | Path) -> Domain | None:
     """
     path = Path(file)
     with _opened(path) as h5:
-        ours = h5.get("amrpic/scene")
-        scene = json.loads(ours.asstr()[()]) if isinstance(ours, h5py.Dataset) else {}
+        text = h5.get("amrpic/scene")
+        scene = json.loads(text.asstr()[()]) if isinstance(text, h5py.Dataset) else {}
         domain, origin = scene.get("domain"), np.zeros(3)
         if domain and scene.get("motion", {}).get("window", "none") != "none":
             group = next(iter(_particles(path, h5, None).values()), None)
@@ -201,11 +205,11 @@ class _Source:
                 continue
             member = self.group[record]
             axes = [member[axis] for axis in AXES if axis in member] if isinstance(member, h5py.Group) else []
-            for one in (member, *axes):
-                found = np.ravel(one.attrs.get("unitDimension", dimension))
-                if not np.array_equal(found, dimension):
+            for of_axis in (member, *axes):
+                actual = np.ravel(of_axis.attrs.get("unitDimension", dimension))
+                if not np.array_equal(actual, dimension):
                     raise InputError(
-                        f"particle file {self.path}: record {one.name} has the dimension {dimension_text(found)}, where "
+                        f"particle file {self.path}: record {of_axis.name} has the dimension {dimension_text(actual)}, where "
                         f"that of {unit} is expected; convert its values, and write unitDimension and unitSI of these"
                     )
 

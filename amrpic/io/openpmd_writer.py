@@ -72,7 +72,7 @@ def write(
     kinds, kind = particles.species.kinds, particles.kind
     root = f"/data/{step}/particles"
     groups = {f"{root}/{name}": species for name, species in zip(particles.species.names, kinds, strict=True)}
-    charges = [particles.weight.sum(where=kind == number) * abs(one.charge) for number, one in enumerate(kinds)]
+    charges = [particles.weight.sum(where=kind == number) * abs(kind_.charge) for number, kind_ in enumerate(kinds)]
     total = comm.allreduce(np.array(charges))
     tables = {
         group: _table(particles, kind == number, window, own, abs(species.charge))

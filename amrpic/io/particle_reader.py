@@ -41,12 +41,12 @@ def read(path: Path) -> ParticleDump:
         return _of_checkpoint(path)
     if not path.is_dir():
         return _of_openpmd(path)
-    found = [*path.glob("particles_????????.h5"), *path.glob("checkpoint_????????")]
-    if not found:
+    dumps = [*path.glob("particles_????????.h5"), *path.glob("checkpoint_????????")]
+    if not dumps:
         raise InputError(
             f"{path} holds neither checkpoint_* nor particles_*.h5; name a folder that a run wrote into, or a dump in it"
         )
-    latest = max(found, key=lambda one: (one.stem.rpartition("_")[2], one.is_dir()))
+    latest = max(dumps, key=lambda dump: (dump.stem.rpartition("_")[2], dump.is_dir()))
     return _of_checkpoint(latest) if latest.is_dir() else _of_openpmd(latest)
 
 

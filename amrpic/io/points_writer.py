@@ -73,6 +73,6 @@ def _describe(h5: h5py.File, units: Mapping[str, str], step: int, time: float, a
         group["Offsets"] = np.arange(cells + 1, dtype=np.int64)
     for name, unit in units.items():
         h5[VALUES.format(name)].attrs["unit"] = unit
-    ours = h5.require_group("amrpic")
-    ours.attrs.update(step=step, time=time, version=about.version, seed=about.seed)
-    ours["scene"] = about.scene_text  # a dataset, since attributes end at 64 KiB
+    amrpic = h5.require_group("amrpic")
+    amrpic.attrs.update(step=step, time=time, version=about.version, seed=about.seed)
+    amrpic["scene"] = about.scene_text  # a dataset, since attributes end at 64 KiB

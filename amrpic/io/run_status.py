@@ -64,12 +64,12 @@ class RunStatus:
         """
         path = Path(folder) / FILE
         try:
-            held = cls(**json.loads(path.read_text(encoding="utf-8")))
+            status = cls(**json.loads(path.read_text(encoding="utf-8")))
         except (OSError, ValueError, TypeError) as error:
             raise InputError(
                 f"{path} cannot be read: {one_line(error)}; name the folder of a run of amrpic that has begun"
             ) from None
-        return cls(**{**asdict(held), "state": GONE}) if held.state == RUNNING and not held._lives() else held
+        return cls(**{**asdict(status), "state": GONE}) if status.state == RUNNING and not status._lives() else status
 
     def _lives(self) -> bool:
         """Whether the process is there, as far as this machine can tell."""

@@ -93,7 +93,7 @@ def write(
     published = attempts.attempt(_published, file, rows) if writes else None
     rows_of_parts = said_to_first(comm, published, groups)
     if comm.rank == 0:
-        if parts and all(held is not None for held in rows_of_parts):
+        if parts and all(rows_of_part is not None for rows_of_part in rows_of_parts):
             attempts.attempt(_write_master, path, dict(zip(parts, rows_of_parts, strict=True)), arrays, describe)
         attempts.attempt(_remove_stale, path, parts)
         with contextlib.suppress(OSError):
@@ -202,8 +202,8 @@ def _published(file: Path, rows: Array) -> Array:
 
 def _remove_stale(path: Path, parts: Sequence[Path]) -> None:
     """Remove the parts of an earlier file in this one's place, and what a run that died left half written."""
-    beside = glob.escape(path.stem)
-    for pattern in (f"{beside}.part*", f"{beside}.*{TEMPORARY}"):
+    stem = glob.escape(path.stem)
+    for pattern in (f"{stem}.part*", f"{stem}.*{TEMPORARY}"):
         for stale in set(path.parent.glob(pattern)) - set(parts):
             remove(stale)
 
@@ -214,7 +214,7 @@ def _write_master(
     """Write and publish the file that shows the parts, with their rows of each array, as one."""
     with Hdf5Writer(temporary(path)) as h5:
         for number, (name, rows) in enumerate(arrays.items()):
-            lengths = [int(held[number]) for held in parts.values()]
+            lengths = [int(rows_of_part[number]) for rows_of_part in parts.values()]
             for dataset, _, dtype in _datasets(name, rows):
                 _show_as_one(h5, dataset, dtype, rows.shape[1:], dict(zip(parts, lengths, strict=True)))
         describe(h5)

@@ -59,10 +59,10 @@ class Series:
 
     def _open(self, about: Provenance, keep_to_step: int | None) -> None:
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        kept = b""
+        lines = b""
         if keep_to_step is not None and self._path.exists():
-            kept = _rows_to(self._path, self.columns, keep_to_step)
-        self._sum, self._bytes = _publish(self._path, self.columns, about, kept)
+            lines = _rows_to(self._path, self.columns, keep_to_step)
+        self._sum, self._bytes = _publish(self._path, self.columns, about, lines)
         self._descriptor = os.open(self._path, os.O_WRONLY | os.O_APPEND)
         self._beside = os.open(beside(self._path), os.O_WRONLY)
 
@@ -109,7 +109,7 @@ class Series:
 
 def settle(comm: MPI.Comm, series: Iterable[Series]) -> None:
     """Raise OutputError on all ranks if rows of one of the series could not be added. Collective."""
-    raise_together(comm, next((one.problem for one in series if one.problem is not None), None), OutputError)
+    raise_together(comm, next((table.problem for table in series if table.problem is not None), None), OutputError)
 
 
 def write(
@@ -230,10 +230,10 @@ def _publish(path: Path, columns: Sequence[Quantity], about: Provenance, rows: b
         "columns": [{"name": column.name, "type": _type(column), "unit": column.unit} for column in columns],
         "scene": about.scene,
     }
-    rest = json.dumps(described, indent=1).removeprefix("{\n").encode()
+    description = json.dumps(described, indent=1).removeprefix("{\n").encode()
     table = (",".join(column.name for column in columns) + "\n").encode() + rows
-    total = hashlib.sha256(rest + table)
-    for file, content in ((beside(path), _checksum(total.hexdigest(), len(table)) + rest), (path, table)):
+    total = hashlib.sha256(description + table)
+    for file, content in ((beside(path), _checksum(total.hexdigest(), len(table)) + description), (path, table)):
         temporary(file).write_bytes(content)
         publish(file)
     return total, len(table)

@@ -45,11 +45,11 @@ def require_readable_on_all(comm: MPI.Comm, paths: Iterable[Path]) -> None:
     """Do the same on rank 0 for some files, so that no other rank needs to. Collective; InputError on all ranks."""
 
     def read() -> set[Key]:
-        for path in found:
+        for path in files:
             require_readable(path)
-        return {key for path in found if (key := _key(path)) is not None}
+        return {key for path in files if (key := _key(path)) is not None}
 
-    if found := list(paths):
+    if files := list(paths):
         _fine.update(from_rank_0(comm, read, InputError))
 
 

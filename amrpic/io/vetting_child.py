@@ -38,7 +38,7 @@ def _read(path: str) -> str:
         return _read_below(h5["/"], size, set())
 
 
-def _read_below(group: h5py.Group, size: int, seen: set) -> str:
+def _read_below(group: h5py.Group, size: int, places: set) -> str:
     for _ in group.attrs.items():
         pass
     for name in group:
@@ -49,10 +49,10 @@ def _read_below(group: h5py.Group, size: int, seen: set) -> str:
             place = h5py.h5o.get_info(member.id).addr
         except (OSError, KeyError, RuntimeError, ValueError):
             continue
-        if place in seen:
+        if place in places:
             continue
-        seen.add(place)
-        answer = _read_below(member, size, seen) if isinstance(member, h5py.Group) else _read_values(member, size)
+        places.add(place)
+        answer = _read_below(member, size, places) if isinstance(member, h5py.Group) else _read_values(member, size)
         if answer != "fine":
             return answer
     return "fine"

@@ -86,7 +86,7 @@ def list_time(comm: MPI.Comm, directory: Path, step: int, time: float, kind: str
 def listed_times(path: Path) -> dict[str, float]:
     """Return the time, s, of each file in a list of times; none if there is no list. Raises ValueError if it is damaged."""
     try:
-        return {str(one["name"]): float(one["time"]) for one in json.loads(path.read_text())["files"]}
+        return {str(entry["name"]): float(entry["time"]) for entry in json.loads(path.read_text())["files"]}
     except FileNotFoundError:
         return {}
     except (KeyError, TypeError, UnicodeDecodeError) as error:
@@ -132,8 +132,8 @@ def _describe(
             group[f"CellData/{name}"].attrs["unit"] = field.unit
     if sum(map(len, levels)) <= yt_view.LARGEST:
         yt_view.add(h5, domain, levels, {name: f.unit for name, f in fields.items()}, DATASETS, time)
-    ours = h5.require_group("amrpic")
-    ours.attrs.update(step=step, time=time, version=about.version, seed=about.seed)
-    ours.attrs["upper"] = np.array(domain.upper, dtype=np.float64)
-    ours.attrs.update(window_origin=window.origin, window_axes=window.axes, window_pivot=window.pivot)
-    ours["scene"] = about.scene_text  # a dataset, since attributes end at 64 KiB
+    amrpic = h5.require_group("amrpic")
+    amrpic.attrs.update(step=step, time=time, version=about.version, seed=about.seed)
+    amrpic.attrs["upper"] = np.array(domain.upper, dtype=np.float64)
+    amrpic.attrs.update(window_origin=window.origin, window_axes=window.axes, window_pivot=window.pivot)
+    amrpic["scene"] = about.scene_text  # a dataset, since attributes end at 64 KiB

@@ -64,10 +64,10 @@ class Writers:
 
     def groups(self, ranks: int, total: int) -> list[range]:
         """Return contiguous groups of about equally many ranks for a file of `total` bytes; the first of each writes."""
-        wanted = self.number
-        if wanted is None:
-            wanted = max(math.ceil(total / self.part_bytes), math.ceil(ranks / RANKS_PER_WRITER), 1)
-        groups = min(wanted, ranks) or ranks
+        number = self.number
+        if number is None:
+            number = max(math.ceil(total / self.part_bytes), math.ceil(ranks / RANKS_PER_WRITER), 1)
+        groups = min(number, ranks) or ranks
         edges = [ranks * g // groups for g in range(groups + 1)]
         return [range(first, last) for first, last in itertools.pairwise(edges)]
 
@@ -119,11 +119,11 @@ def collect_rows(comm: MPI.Comm, group: range, arrays: Sequence[Rows]) -> Array:
     """Return the numbers of rows of arrays on each rank of a group, (ranks, arrays), on its first; elsewhere (1, arrays) its
     own. Collective over the group.
     """
-    mine = np.array([[rows.shape[0] for rows in arrays]], dtype=np.int64)
+    own_counts = np.array([[rows.shape[0] for rows in arrays]], dtype=np.int64)
     if comm.rank != group.start:
-        comm.Send(mine, group.start, TAG)
-        return mine
-    table = np.repeat(mine, len(group), axis=0)
+        comm.Send(own_counts, group.start, TAG)
+        return own_counts
+    table = np.repeat(own_counts, len(group), axis=0)
     for row, rank in zip(table[1:], group[1:], strict=True):
         comm.Recv(row, rank, TAG)
     return table
@@ -171,9 +171,9 @@ def merge(
     size = max(1, MERGED_BYTES // (len(group) * row_bytes(rows)))
     if comm.rank != group.start:
         return _send(comm, group.start, _pieces(rows, size))
-    others = zip(group[1:], counts[1:], strict=True)
+    of_others = zip(group[1:], counts[1:], strict=True)
     streams = [_pieces(rows, size)]
-    streams += [_arriving(comm, [(rank, n) for n in _lengths(count, size)], rows, 1) for rank, count in others]
+    streams += [_arriving(comm, [(rank, n) for n in _lengths(count, size)], rows, 1) for rank, count in of_others]
     heads = [next(stream, None) for stream in streams]
     offset = 0
     while any(head is not None for head in heads):
@@ -233,13 +233,13 @@ def _arriving(comm: MPI.Comm, lengths: Sequence[tuple[int, int]], like: Rows, ah
         piece = buffers[number % slots, :length]
         return comm.Irecv([piece, MPI.BYTE], rank, TAG), piece
 
-    asked = deque(ask(number) for number in range(min(ahead, len(lengths))))
+    requests = deque(ask(number) for number in range(min(ahead, len(lengths))))
 
     def take() -> Iterator[Array]:
         for number in range(ahead, len(lengths) + ahead):
-            request, piece = asked.popleft()
+            request, piece = requests.popleft()
             if number < len(lengths):
-                asked.append(ask(number))
+                requests.append(ask(number))
             request.Wait()
             yield piece
 

@@ -50,8 +50,8 @@ def add(
         for name in units
         for axis, column in (zip(AXES, range(3), strict=True) if h5[paths.format(0, name)].ndim == 2 else (("", None),))
     }
-    for shown, (name, _) in sources.items():
-        h5.create_group(f"field_types/{shown}").attrs["field_units"] = np.bytes_(units[name].replace("^", "**"))
+    for component, (name, _) in sources.items():
+        h5.create_group(f"field_types/{component}").attrs["field_units"] = np.bytes_(units[name].replace("^", "**"))
     h5["grid_left_index"] = np.concatenate([level[:, :3] for level in boxes]).astype(np.int64)
     h5["grid_dimensions"] = np.concatenate([_sizes(level) for level in boxes]).astype(np.int32)
     h5["grid_level"] = np.repeat(np.arange(len(boxes)), [len(level) for level in boxes])
@@ -63,10 +63,10 @@ def add(
         shapes = {name: h5[paths.format(level, name)].shape for name in units}
         cells = cells_of(of_level)
         for size, count, end in zip(_sizes(of_level), cells.tolist(), np.cumsum(cells).tolist(), strict=True):
-            for shown, (name, column) in sources.items():
+            for component, (name, column) in sources.items():
                 rows = virtual.Source(paths.format(level, name), shapes[name], end - count, count, column)
                 shape = tuple(size[::-1].tolist())
-                virtual.show(h5, f"data/grid_{number:010d}/{shown}", shape, [((0, 0, 0), shape, rows)])
+                virtual.show(h5, f"data/grid_{number:010d}/{component}", shape, [((0, 0, 0), shape, rows)])
             number += 1
 
 

@@ -51,10 +51,10 @@ def unique_rows(rows: Array) -> tuple[Array, Array]:
     lower = rows.min(axis=0).astype(np.int64)
     extent = rows.max(axis=0) - lower + 1
     if np.prod(extent, dtype=float) >= 2**62:
-        found, which = np.unique(rows, axis=0, return_inverse=True)
-        return found, which.ravel()
-    numbers, which = np.unique(np.ravel_multi_index(tuple((rows - lower).T), tuple(extent)), return_inverse=True)
-    return np.stack(np.unravel_index(numbers, tuple(extent)), axis=1) + lower, which
+        unique, inverse = np.unique(rows, axis=0, return_inverse=True)
+        return unique, inverse.ravel()
+    numbers, inverse = np.unique(np.ravel_multi_index(tuple((rows - lower).T), tuple(extent)), return_inverse=True)
+    return np.stack(np.unravel_index(numbers, tuple(extent)), axis=1) + lower, inverse
 
 
 def rows_of(boxes: Array) -> Array:

@@ -86,10 +86,10 @@ class Composite(ABC):
     def unit(self, name: str) -> str:
         """Return the unit of what `values` gives. Raises InputError if it is not there."""
         vector, _ = self._vector_of(name)
-        found = vector or name
-        if found not in self.units:
+        field = vector or name
+        if field not in self.units:
             raise InputError(f"{self.label} holds no {name}; choose among {', '.join(self.units)}")
-        return self.units[found]
+        return self.units[field]
 
     def _vector_of(self, name: str) -> tuple[str | None, int | None]:
         """The vector field that a name refers to, and which component; None: its length. None, None for other names."""
@@ -113,11 +113,11 @@ class Composite(ABC):
             self.comm.Allreduce(MPI.IN_PLACE, values)
         return values
 
-    def any(self, held: Array) -> Array:
+    def any(self, flags: Array) -> Array:
         """Return where any rank holds True, on all of them. Collective."""
         if self.comm.size > 1:
-            self.comm.Allreduce(MPI.IN_PLACE, held, MPI.LOR)
-        return held
+            self.comm.Allreduce(MPI.IN_PLACE, flags, MPI.LOR)
+        return flags
 
     def covered(self, level: int, box: int) -> Array:
         """Return where a finer level covers the cells of a box, bool (nx, ny, nz)."""

@@ -92,12 +92,12 @@ class Domain:
         return f"far away φ tends to -λ ln(r/L)/2πε₀, λ being the charge per length and L = {period:g} m"
 
 
-def _three(given: Sequence[Any] | float, kind: Callable[[Any], Any], what: str) -> tuple:
+def _three(values: Sequence[Any] | float, kind: Callable[[Any], Any], name: str) -> tuple:
     try:
-        x, y, z = (kind(value) for value in ((given,) * 3 if np.ndim(given) == 0 else given))  # type: ignore[union-attr]
+        x, y, z = (kind(value) for value in ((values,) * 3 if np.ndim(values) == 0 else values))  # type: ignore[union-attr]
     except (TypeError, ValueError, OverflowError):
         whole = "whole " if kind is operator.index else ""
-        raise HierarchyError(f"{what} is {given!r}; give one {whole}number, or three, for x, y and z") from None
+        raise HierarchyError(f"{name} is {values!r}; give one {whole}number, or three, for x, y and z") from None
     return x, y, z
 
 

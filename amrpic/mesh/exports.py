@@ -70,7 +70,7 @@ def to_yt(fields: Mapping[str, Gathered]) -> Any:
         part = together[0]
         h = first.hierarchy.spacing(part.level)
         for lower, upper in parents[part.level].pieces(part):
-            here = tuple(map(slice, lower - part.lower, upper - part.lower))
+            inside = tuple(map(slice, lower - part.lower, upper - part.lower))
             grids.append(
                 {
                     "level": part.level,
@@ -78,8 +78,8 @@ def to_yt(fields: Mapping[str, Gathered]) -> Any:
                     "right_edge": domain.lower + upper * h,
                     "dimensions": upper - lower,
                     **{
-                        name: (one.data[here], field.unit.replace("^", "**") or "dimensionless")
-                        for (name, field), one in zip(fields.items(), together, strict=True)
+                        name: (of_field.data[inside], field.unit.replace("^", "**") or "dimensionless")
+                        for (name, field), of_field in zip(fields.items(), together, strict=True)
                     },
                 }
             )
@@ -104,8 +104,8 @@ def to_pyvista(fields: Mapping[str, Gathered]) -> pyvista.MultiBlock:
         h = first.hierarchy.spacing(part.level)
         shape = np.array(part.data.shape)
         block = pyvista.ImageData(dimensions=shape + 1, spacing=h, origin=origin + part.lower * h)
-        for name, one in zip(fields, together, strict=True):
-            block.cell_data[name] = one.data.ravel(order="F")
+        for name, of_field in zip(fields, together, strict=True):
+            block.cell_data[name] = of_field.data.ravel(order="F")
         block.cell_data["vtkGhostType"] = np.where(part.covered, HIDDEN, 0).astype(np.uint8).ravel(order="F")
         blocks.append(block, f"level {part.level}, box {number}")
     return blocks

@@ -173,8 +173,8 @@ class Field(FieldViews):
 
     def max_abs(self) -> float:
         """Largest magnitude over uncovered cells; nan if one of them is. Collective."""
-        here = [np.abs(p.data).max(where=~p.covered, initial=0.0) for p in self.patches]
-        return global_max(self.comm, np.max(here, initial=0.0))
+        largest = [np.abs(p.data).max(where=~p.covered, initial=0.0) for p in self.patches]
+        return global_max(self.comm, np.max(largest, initial=0.0))
 
     def min(self) -> float:
         """Smallest value over uncovered cells; nan if one of them is. Collective."""
@@ -182,8 +182,8 @@ class Field(FieldViews):
 
     def max(self) -> float:
         """Largest value over uncovered cells; nan if one of them is. Collective."""
-        here = [p.data.max(where=~p.covered, initial=-np.inf) for p in self.patches]
-        return global_max(self.comm, np.max(here, initial=-np.inf))
+        largest = [p.data.max(where=~p.covered, initial=-np.inf) for p in self.patches]
+        return global_max(self.comm, np.max(largest, initial=-np.inf))
 
     def sum(self) -> float:
         """Sum over uncovered cells. Collective."""
@@ -296,13 +296,13 @@ class Field(FieldViews):
         return fitted_values(self._composite, "field", at, request)
 
 
-def _no_values(given: object, values: object, patch: Patch) -> str:
+def _no_values(function: object, values: object, patch: Patch) -> str:
     """Return why a field cannot be filled."""
-    if not callable(given):
-        return f"a field cannot be filled with {given!r:.60}; give a number, or a function of x, y and z in m"
-    found = f"an array of shape {values.shape}" if isinstance(values, np.ndarray) else f"{values!r:.60}"
+    if not callable(function):
+        return f"a field cannot be filled with {function!r:.60}; give a number, or a function of x, y and z in m"
+    text = f"an array of shape {values.shape}" if isinstance(values, np.ndarray) else f"{values!r:.60}"
     return (
-        f"the function gives {found} for a box of {patch.data.shape} cells; let it compute with the arrays it is given"
+        f"the function gives {text} for a box of {patch.data.shape} cells; let it compute with the arrays it is given"
     )
 
 
@@ -373,10 +373,10 @@ class VectorField:
 
     @cached_property
     def components(self) -> tuple[Field, Field, Field]:
-        made = self.with_components().components
-        for component in made:
+        components = self.with_components().components
+        for component in components:
             component.lock()  # kernels would not see what is written there
-        return made
+        return components
 
     @property
     def x(self) -> Field:
@@ -422,13 +422,13 @@ class VectorField:
     def to_yt(self, name: str = "E") -> Any:
         """Return the components, as `name`_x and so on, as a data set of yt, whole on every rank. Collective."""
         return exports.to_yt(
-            {f"{name}_{axis}": one._gathered() for axis, one in zip(AXES, self.components, strict=True)}
+            {f"{name}_{axis}": component._gathered() for axis, component in zip(AXES, self.components, strict=True)}
         )
 
     def to_pyvista(self, name: str = "E") -> pyvista.MultiBlock:
         """Return the components as one PyVista image per box, whole on every rank. Collective."""
         return exports.to_pyvista(
-            {f"{name}_{axis}": one._gathered() for axis, one in zip(AXES, self.components, strict=True)}
+            {f"{name}_{axis}": component._gathered() for axis, component in zip(AXES, self.components, strict=True)}
         )
 
     def __repr__(self) -> str:

@@ -134,9 +134,11 @@ class FieldViews(ABC):
 
     def _gathered(self) -> exports.Gathered:
         """The field with the boxes of all ranks. Collective."""
-        mine = [(p.level, p.box, exports.Part(p.level, p.lower, np.array(p.data), p.covered)) for p in self.patches]
-        everyones = [one for rank in self.comm.allgather(mine) for one in rank]
-        parts = [part for _, _, part in sorted(everyones, key=lambda one: one[:2])]
+        own_parts = [
+            (p.level, p.box, exports.Part(p.level, p.lower, np.array(p.data), p.covered)) for p in self.patches
+        ]
+        everyones = [exported for rank in self.comm.allgather(own_parts) for exported in rank]
+        parts = [part for _, _, part in sorted(everyones, key=lambda exported: exported[:2])]
         return exports.Gathered(self.hierarchy, self.unit, parts)
 
     def to_xarray(self, level: int = 0, name: str = "field") -> xarray.DataArray:
@@ -158,9 +160,9 @@ class FieldViews(ABC):
 
     def _range_here(self, level: int | None = None) -> tuple[float, float]:
         """Least and largest value of this rank's uncovered cells, of one level or all; inf and -inf without any."""
-        here = [p for p in self.patches if level in (None, p.level)]
-        low = [p.data.min(where=~p.covered, initial=np.inf) for p in here]
-        high = [p.data.max(where=~p.covered, initial=-np.inf) for p in here]
+        patches = [p for p in self.patches if level in (None, p.level)]
+        low = [p.data.min(where=~p.covered, initial=np.inf) for p in patches]
+        high = [p.data.max(where=~p.covered, initial=-np.inf) for p in patches]
         return float(np.min(low, initial=np.inf)), float(np.max(high, initial=-np.inf))
 
     @property
@@ -195,12 +197,12 @@ def axis_number(axis: int | str) -> int:
     raise InputError(f"{axis!r} is no axis; use one of {', '.join(AXES)}")
 
 
-def points_of(given: ArrayLike) -> np.ndarray:
+def points_of(values: ArrayLike) -> np.ndarray:
     """Return points as an array (n, 3) in m; a single one may be given as (3,). Raises InputError."""
     try:
-        points = np.array(given, dtype=np.float64)
+        points = np.array(values, dtype=np.float64)
     except (TypeError, ValueError):
-        raise InputError(f"{given!r:.60} are no points; give an array of (x, y, z) in m") from None
+        raise InputError(f"{values!r:.60} are no points; give an array of (x, y, z) in m") from None
     if points.shape == (3,):
         return points[None]
     if points.ndim == 2 and points.shape[1] == 3:

@@ -22,35 +22,35 @@ from .domain import BOUNDARIES, Domain
 def _index_boxes(level: int, boxes: Sequence[Sequence[Sequence[int]]] | np.ndarray) -> np.ndarray:
     """Return boxes as (n, 6) of 32 bits; HierarchyError if they do not fit or are no whole numbers."""
     try:
-        given = np.asarray(boxes)
+        array = np.asarray(boxes)
     except ValueError:  # ragged
-        given = np.array([np.nan])
-    if given.size % 6 or (given.size and not np.issubdtype(given.dtype, np.integer)):
+        array = np.array([np.nan])
+    if array.size % 6 or (array.size and not np.issubdtype(array.dtype, np.integer)):
         raise HierarchyError(
             f"the boxes of level {level} are not pairs of three whole numbers; give ((i, j, k), (i, j, k))"
         )
-    if given.size and np.abs(given).max() > np.iinfo(np.int32).max:
+    if array.size and np.abs(array).max() > np.iinfo(np.int32).max:
         raise HierarchyError(
-            f"a box of level {level} has index {np.abs(given).max()}, beyond 32 bits; use fewer levels"
+            f"a box of level {level} has index {np.abs(array).max()}, beyond 32 bits; use fewer levels"
         )
-    return given.astype(np.int32).reshape(-1, 6)
+    return array.astype(np.int32).reshape(-1, 6)
 
 
-def _whole(value: int, what: str) -> int:
+def _whole(value: int, name: str) -> int:
     """Return a number of cells; HierarchyError if it is no whole number of 32 bits."""
     try:
         number = operator.index(value)
     except TypeError:
-        raise HierarchyError(f"{what} is {value!r}; give a whole number of cells") from None
+        raise HierarchyError(f"{name} is {value!r}; give a whole number of cells") from None
     if abs(number) > np.iinfo(np.int32).max:
-        raise HierarchyError(f"{what} is {number}; give a number of cells below 2^31")
+        raise HierarchyError(f"{name} is {number}; give a number of cells below 2^31")
     return number
 
 
-def _covers(boxes: np.ndarray, others: np.ndarray) -> bool:
+def _covers(boxes: np.ndarray, boxes_inside: np.ndarray) -> bool:
     """Whether disjoint boxes (n, 6) hold all cells of other disjoint boxes (m, 6)."""
-    table, known = table_of(boxes), set(map(tuple, boxes.tolist()))
-    for lower, upper in ((row[:3], row[3:]) for row in others.tolist() if tuple(row) not in known):
+    table, own_rows = table_of(boxes), set(map(tuple, boxes.tolist()))
+    for lower, upper in ((row[:3], row[3:]) for row in boxes_inside.tolist() if tuple(row) not in own_rows):
         near = boxes[table.meeting(lower, upper)].astype(np.int64)
         common = np.minimum(near[:, 3:], upper) - np.maximum(near[:, :3], lower) + 1
         if common.prod(axis=1).sum() < np.prod(np.subtract(upper, lower) + 1):

@@ -9,8 +9,8 @@ import numpy as np
 from ..errors import InputError
 
 
-def require_order(order: object, orders: Sequence[int], what: str) -> None:
-    """Raise InputError unless an order, said to be that of `what`, is a whole number among these. Local."""
+def require_order(order: object, orders: Sequence[int], name: str) -> None:
+    """Raise InputError unless an order, said to be that of `name`, is a whole number among these. Local."""
     if isinstance(order, bool) or not isinstance(order, int | np.integer) or order not in orders:
         *first, last = map(str, orders)
-        raise InputError(f"the order of {what} is {order!r:.60}; use {', '.join(first)} or {last}")
+        raise InputError(f"the order of {name} is {order!r:.60}; use {', '.join(first)} or {last}")

@@ -26,25 +26,30 @@ class Interval:
     of_target: Array  # (n,) the same over the target cell
 
 
-def intervals(cells: Array, here: int, there: int, source_here: bool) -> list[Interval]:
-    """Return the common parts of cells (n,) of a lattice of `here` cells with those of one of `there`, in ascending order.
+def intervals(cells: Array, extent: int, extent_of_other: int, source_here: bool) -> list[Interval]:
+    """Return the common parts of cells (n,) of a lattice of `extent` cells with those of one of `extent_of_other`, in order.
 
     `source_here`: polynomials live on the cells here, else on those there. Ends are found in whole numbers.
     """
-    first = cells * there // here
-    count = ((cells + 1) * there - 1) // here - first + 1
-    return [_interval(cells, first + n, n < count, here, there, source_here) for n in range(int(count.max(initial=0)))]
+    first = cells * extent_of_other // extent
+    count = ((cells + 1) * extent_of_other - 1) // extent - first + 1
+    return [
+        _interval(cells, first + n, n < count, extent, extent_of_other, source_here)
+        for n in range(int(count.max(initial=0)))
+    ]
 
 
-def _interval(cells: Array, other: Array, valid: Array, here: int, there: int, source_here: bool) -> Interval:
-    source, target = (cells, other) if source_here else (other, cells)
-    of_source, of_target = (here, there) if source_here else (there, here)
+def _interval(
+    cells: Array, partner: Array, valid: Array, extent: int, extent_of_other: int, source_here: bool
+) -> Interval:
+    source, target = (cells, partner) if source_here else (partner, cells)
+    of_source, of_target = (extent, extent_of_other) if source_here else (extent_of_other, extent)
     low = np.maximum(target * of_source - source * of_target, 0)  # from the source cell's lower end, width of_target
     high = np.minimum((target + 1) * of_source - source * of_target, of_target)
     length = np.where(valid, high - low, 0)
     u, a = (low + high) / (2 * of_target) - 0.5, (high - low) / (2 * of_target)
     moments = np.stack([np.ones(len(u)), u, u**2 + a**2 / 3, u**3 + u * a**2, u**4 + 2 * u**2 * a**2 + a**4 / 5])
-    return Interval(other, valid, moments, length / of_target, length / of_source)
+    return Interval(partner, valid, moments, length / of_target, length / of_source)
 
 
 @dataclass(frozen=True)
@@ -88,10 +93,11 @@ def _product(axes: Sequence[Array]) -> Array:
     return x[:, None, None] * y[None, :, None] * z[None, None, :]
 
 
-def parts(corners: Array, here: Array, there: Array, source_here: bool) -> Iterator[Part]:
+def parts(corners: Array, extents: Array, extents_of_other: Array, source_here: bool) -> Iterator[Part]:
     """Yield the common parts of a box of cells of a lattice with all those of another; lattices by cells along the axes."""
     along = [
-        intervals(np.arange(corners[d], corners[3 + d] + 1), int(here[d]), int(there[d]), source_here) for d in range(3)
+        intervals(np.arange(corners[d], corners[3 + d] + 1), int(extents[d]), int(extents_of_other[d]), source_here)
+        for d in range(3)
     ]
     for z, y, x in product(*along[::-1]):
         yield Part((x, y, z))

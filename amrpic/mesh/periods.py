@@ -23,7 +23,9 @@ LARGEST_FILL = (
 def wrapped(points: Array, lower: Array, upper: Array, periodic: Sequence[bool]) -> Array:
     """Return points (n, 3) in m, those beyond periodic faces where their images are in the domain: lower <= x < upper."""
     first, last = (np.asarray(corner, dtype=np.float64).tolist() for corner in (lower, upper))
-    return _native.wrapped(np.ascontiguousarray(points, dtype=np.float64), first, last, [bool(one) for one in periodic])
+    return _native.wrapped(
+        np.ascontiguousarray(points, dtype=np.float64), first, last, [bool(is_periodic) for is_periodic in periodic]
+    )
 
 
 def wrapped_along(axis: int, place: float, lower: Array, upper: Array, periodic: Sequence[bool]) -> float:

@@ -166,11 +166,11 @@ def plane(
 
 def _extent(raster: Raster) -> Array:
     """Return the corners (2, 2) in m of what a raster shows, the first axis first."""
-    held = np.isfinite(raster.values)
+    is_finite = np.isfinite(raster.values)
     out = []
     for d in range(2):
-        pixels = np.flatnonzero(held.any(axis=1 - d))
-        edges = np.array([pixels[0], pixels[-1] + 1]) / held.shape[d]
+        pixels = np.flatnonzero(is_finite.any(axis=1 - d))
+        edges = np.array([pixels[0], pixels[-1] + 1]) / is_finite.shape[d]
         out.append(raster.lower[d] + edges * (raster.upper[d] - raster.lower[d]))
     return np.array(out)
 

@@ -53,28 +53,28 @@ class Fits:
     def prepare(self, cells: Iterable[tuple[Surroundings, Array]]) -> None:
         """Find the fits of all cells (bool (nx, ny, nz) of each box) whose surroundings are new."""
         new: dict[bytes, Sites] = {}
-        for around, wanted in cells:
-            where = np.argwhere(wanted)
-            names, first, _ = _kinds(around, where)
+        for surroundings, chosen in cells:
+            where = np.argwhere(chosen)
+            names, first, _ = _kinds(surroundings, where)
             for name, n in zip(names, first, strict=True):
                 if name not in self.number and name not in new:
-                    new[name] = _sites(around, where[n])
+                    new[name] = _sites(surroundings, where[n])
         for name in new:
             self.number[name] = len(self.number)
         self._solve(list(new.values()))
 
-    def coefficients(self, around: Surroundings, wanted: Array, values: Array) -> Array:
+    def coefficients(self, surroundings: Surroundings, chosen: Array, values: Array) -> Array:
         """Return the coefficients of the monomials in cells of a box, (monomials, nx, ny, nz), zero where they are not wanted.
 
         wanted: bool (nx, ny, nz), cells for which fits were prepared; values: the dense array of the surroundings.
         """
-        cells = np.argwhere(wanted)
-        names, _, of = _kinds(around, cells)
+        cells = np.argwhere(chosen)
+        names, _, of = _kinds(surroundings, cells)
         kinds = np.array([self.number[name] for name in names], dtype=np.int64)[of]
         place = (cells + self.width) @ np.cumprod([1, *values.shape[:2]])
-        found = _native.window_sums(values, place, kinds, self.first, self.offset, self.weight)
-        out = np.zeros((found.shape[1], *wanted.shape))
-        out[(slice(None), *cells.T)] = found.T
+        coefficients = _native.window_sums(values, place, kinds, self.first, self.offset, self.weight)
+        out = np.zeros((coefficients.shape[1], *chosen.shape))
+        out[(slice(None), *cells.T)] = coefficients.T
         return out
 
     def _solve(self, kinds: list[Sites]) -> None:
@@ -83,9 +83,9 @@ class Fits:
         for order in range(self.order, 0, -1):
             reaches = [REACH[self.order] * GROWTH**n for n in range(5)] + [FAR]
             for reach in reaches:
-                left = [n for n, found in enumerate(weights) if found is None]
-                for n, found in zip(left, _fits([kinds[n] for n in left], order, reach), strict=True):
-                    weights[n] = found
+                left = [n for n, weight in enumerate(weights) if weight is None]
+                for n, weight in zip(left, _fits([kinds[n] for n in left], order, reach), strict=True):
+                    weights[n] = weight
         used = [
             kind.place[:0] if fit is None else kind.place[fit.used] for kind, fit in zip(kinds, weights, strict=True)
         ]
@@ -123,7 +123,7 @@ def _fits(kinds: list[Sites], order: int, reach: float) -> list[Fit | None]:
     offset = np.concatenate([sites.offset[n] for sites, n in zip(kinds, near, strict=True)])
     width = np.concatenate([sites.width[n] for sites, n in zip(kinds, near, strict=True)])
     origin = np.zeros((len(kinds), 3))
-    found = gmls.stencils(
+    stencils = gmls.stencils(
         origin,
         gmls.Neighbours(start, np.arange(len(offset), dtype=np.int32), np.full(len(kinds), reach)),
         space=gmls.Scalar(order),
@@ -133,9 +133,9 @@ def _fits(kinds: list[Sites], order: int, reach: float) -> list[Fit | None]:
         failed="mark",
     )
     at_corner = 0.5 ** exponents(order).sum(axis=1)
-    growth = np.add.reduceat(np.abs(found.solved[:, 1:]) @ at_corner, start[:-1])
+    growth = np.add.reduceat(np.abs(stencils.solved[:, 1:]) @ at_corner, start[:-1])
     good = growth <= MOST_GROWTH  # not where weights are NaN
-    return [Fit(used, found.solved[start[n] : start[n + 1], 1:]) if good[n] else None for n, used in enumerate(near)]
+    return [Fit(used, stencils.solved[start[n] : start[n + 1], 1:]) if good[n] else None for n, used in enumerate(near)]
 
 
 @lru_cache
@@ -152,54 +152,54 @@ def _window(width: int) -> Array:
     return np.stack([x, y, z], axis=-1).reshape(-1, 3)
 
 
-def _kinds(around: Surroundings, cells: Array) -> tuple[list[bytes], Array, Array]:
+def _kinds(surroundings: Surroundings, cells: Array) -> tuple[list[bytes], Array, Array]:
     """Return names of the kinds of surroundings of cells (n, 3) of a box, a cell of each, and which of these each cell has."""
-    unique, first, of = np.unique(_keys(around, cells), return_index=True, return_inverse=True)
+    unique, first, of = np.unique(_keys(surroundings, cells), return_index=True, return_inverse=True)
     return [key.tobytes() for key in unique], first, of.ravel()
 
 
-def _keys(around: Surroundings, cells: Array) -> Array:
+def _keys(surroundings: Surroundings, cells: Array) -> Array:
     """Return a number that identifies the surroundings of each cell, (n,), zero where all cells around are of its level."""
     keys = np.zeros(len(cells), dtype=np.uint64)
-    irregular = np.flatnonzero(around.irregular()[tuple(cells.T)])
-    some, window = cells[irregular], _window(around.width)
-    strides = np.cumprod([1, *around.depth.shape[:2]])
-    depth, place = around.depth.ravel(order="F").astype(np.uint64), (some + around.width) @ strides
+    irregular = np.flatnonzero(surroundings.irregular()[tuple(cells.T)])
+    chosen, window = cells[irregular], _window(surroundings.width)
+    strides = np.cumprod([1, *surroundings.depth.shape[:2]])
+    depth, place = surroundings.depth.ravel(order="F").astype(np.uint64), (chosen + surroundings.width) @ strides
     multipliers = _multipliers(len(window) + 4)
-    total = np.ones(len(some), dtype=np.uint64)
+    total = np.ones(len(chosen), dtype=np.uint64)
     for step, multiplier in zip(window @ strides, multipliers, strict=False):
         total += depth[place + step] * multiplier
     # where coarser cells are near, it matters which of a coarser cell's places the cell has
-    deepest = around.largest_depth()[tuple(some.T)].astype(np.int64)
-    places = (some + around.box[:3]) & ((1 << deepest) - 1)[:, None]
+    deepest = surroundings.largest_depth()[tuple(chosen.T)].astype(np.int64)
+    places = (chosen + surroundings.box[:3]) & ((1 << deepest) - 1)[:, None]
     for number, multiplier in zip([*places.T, deepest], multipliers[len(window) :], strict=True):
         total += number.astype(np.uint64) * multiplier
     keys[irregular] = total
     return keys
 
 
-def _sites(around: Surroundings, cell: Array) -> Sites:
+def _sites(surroundings: Surroundings, cell: Array) -> Sites:
     """Return the cells around one, those of its own level first, then coarser ones."""
-    window = _window(around.width)
-    depth = around.depth[tuple((cell + around.width + window).T)].astype(np.int64)
+    window = _window(surroundings.width)
+    depth = surroundings.depth[tuple((cell + surroundings.width + window).T)].astype(np.int64)
     own = window[(depth == 0) & window.any(axis=1)]
     offsets, widths, places = [own.astype(float)], [np.ones(len(own))], [own]
     for coarser in range(1, int(depth.max(initial=0)) + 1):
-        there = window[depth == coarser]
-        index = (cell + around.box[:3] + there) >> coarser
+        coarse_cells = window[depth == coarser]
+        index = (cell + surroundings.box[:3] + coarse_cells) >> coarser
         _, first = np.unique((index - index.min(axis=0)) @ [1, 1 << 10, 1 << 20], return_index=True)
-        offsets.append((index[first] + 0.5) * 2**coarser - 0.5 - (cell + around.box[:3]))
+        offsets.append((index[first] + 0.5) * 2**coarser - 0.5 - (cell + surroundings.box[:3]))
         widths.append(np.full(len(first), 2.0**coarser))
-        places.append(there[first])
+        places.append(coarse_cells[first])
     return Sites(np.concatenate(offsets), np.concatenate(widths), np.concatenate(places).astype(np.int32))
 
 
-def neighbour_bounds(around: Surroundings, values: Array) -> tuple[Array, Array]:
+def neighbour_bounds(surroundings: Surroundings, values: Array) -> tuple[Array, Array]:
     """Return the least and the largest value of each cell of a box and the cells that touch it, (nx, ny, nz) each."""
-    low = np.where(around.depth == WALL, np.inf, values)
-    high = np.where(around.depth == WALL, -np.inf, values)
-    first, last = np.full(3, around.width), around.width + around.size
-    least, most = np.full(around.size, np.inf), np.full(around.size, -np.inf)
+    low = np.where(surroundings.depth == WALL, np.inf, values)
+    high = np.where(surroundings.depth == WALL, -np.inf, values)
+    first, last = np.full(3, surroundings.width), surroundings.width + surroundings.size
+    least, most = np.full(surroundings.size, np.inf), np.full(surroundings.size, -np.inf)
     for step in _window(1):
         part = tuple(slice(int(a), int(b)) for a, b in zip(first + step, last + step, strict=True))
         least, most = np.minimum(least, low[part]), np.maximum(most, high[part])

@@ -82,7 +82,7 @@ def _raster(
 ) -> Raster:
     """Return the sum of what `flat(cells, level, box)` makes of some boxes of each level, cells under a finer level zero."""
     grid = _Pixels(fields, axis, level)
-    values, held = np.zeros(grid.shape), np.zeros(grid.shape, dtype=bool)
+    values, filled = np.zeros(grid.shape), np.zeros(grid.shape, dtype=bool)
     for number in range(len(fields.levels)) if level is None else [level]:
         for box in np.intersect1d(boxes(number), fields.here(number)):
             cells = fields.values(name, number, box)
@@ -90,8 +90,8 @@ def _raster(
                 cells = np.where(fields.covered(number, box), 0.0, cells)
             pixels, inside = grid.locate(number, box)
             values[pixels] += flat(cells, number, box)[inside]
-            held[pixels] = True
-    values = np.where(fields.any(held), fields.total(values), np.nan)
+            filled[pixels] = True
+    values = np.where(fields.any(filled), fields.total(values), np.nan)
     return Raster(grid.shown(values), axis, grid.axes, position, *grid.corners)
 
 
@@ -165,7 +165,7 @@ class Line:
 def line_values(fields: Composite, name: str, line: Line, level: int | None = None) -> Array:
     """Return a field along a line, in the finest cells or those of one level: (n,), or (n, 3) of a vector; else nan."""
     points = wrapped(line.points, fields.lower, fields.upper, fields.periodic)
-    held = np.zeros(len(points), dtype=bool)
+    filled = np.zeros(len(points), dtype=bool)
     out = np.zeros((len(points), 3) if fields.is_vector(name) else len(points))
     for number in range(len(fields.levels)) if level is None else [level]:
         description = fields.levels[number]
@@ -176,12 +176,12 @@ def line_values(fields: Composite, name: str, line: Line, level: int | None = No
             inside = np.flatnonzero(holding == box)
             cells = tuple((index[inside] - description.boxes[box, :3]).T)
             if level is None:
-                shown = ~fields.covered(number, box)[cells]
-                inside, cells = inside[shown], tuple(of_axis[shown] for of_axis in cells)
+                visible = ~fields.covered(number, box)[cells]
+                inside, cells = inside[visible], tuple(of_axis[visible] for of_axis in cells)
             out[inside] = fields.values(name, number, box)[cells]
-            held[inside] = True
-    out, held = fields.total(out), fields.any(held)
-    out[~held] = np.nan
+            filled[inside] = True
+    out, filled = fields.total(out), fields.any(filled)
+    out[~filled] = np.nan
     return out
 
 

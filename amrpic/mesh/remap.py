@@ -43,8 +43,8 @@ def remap(field: Values, to: Values, order: int, bounds: Bounds) -> None:
     require_order(order, ORDERS, "the fit")
     _require_one_domain(field.hierarchy, to.hierarchy)
     source, target = Lattice(field.hierarchy), Lattice(to.hierarchy)
-    wanted = _checked_bounds(field, bounds)
-    cells = _SourceCells(field, source, target, order, wanted)
+    limits = _checked_bounds(field, bounds)
+    cells = _SourceCells(field, source, target, order, limits)
     patches = [patch for patch in to.patches if not patch.covered.all()]
     corners = [target.boxes[patch.level][patch.box] for patch in patches]
     regions = [list(_regions(target, patch.level, box, source)) for patch, box in zip(patches, corners, strict=True)]
@@ -54,17 +54,17 @@ def remap(field: Values, to: Values, order: int, bounds: Bounds) -> None:
         patch.data[...] = _averaged(box, of_box, boxes, exponents(order))
 
 
-def _require_one_domain(mine: Hierarchy, other: Hierarchy) -> None:
+def _require_one_domain(first: Hierarchy, second: Hierarchy) -> None:
     """Raise HierarchyError unless two hierarchies span one domain, on as many ranks."""
-    a, b = mine.domain, other.domain
+    a, b = first.domain, second.domain
     if (a.lower, a.upper) != (b.lower, b.upper):
         raise HierarchyError(
             f"the field lives on {a.lower} to {a.upper} m, the new hierarchy on {b.lower} to {b.upper} m; "
             "make both on one domain"
         )
-    if mine.comm.size != other.comm.size:
+    if first.comm.size != second.comm.size:
         raise HierarchyError(
-            f"the field lives on {mine.comm.size} ranks and the new hierarchy on {other.comm.size}; "
+            f"the field lives on {first.comm.size} ranks and the new hierarchy on {second.comm.size}; "
             "make both on one communicator"
         )
 
@@ -117,10 +117,10 @@ class _SourceCells:
             for patch in field.patches
             if not patch.covered.all() and (cells := self._cut(patch.level, patch.box, ~patch.covered)).any()
         }
-        around = {one: Surroundings.of_box(source, *one, self._fits.width) for one in cut}
-        values = _fetched(source, set().union(*(one.needed for one in around.values())), self.value)
-        self._fits.prepare((around[one], cells) for one, cells in cut.items())
-        self._boxes = {one: self._fitted(around[one], cut[one], lambda *box: values[box]) for one in cut}
+        surroundings = {key: Surroundings.of_box(source, *key, self._fits.width) for key in cut}
+        values = _fetched(source, set().union(*(key.needed for key in surroundings.values())), self.value)
+        self._fits.prepare((surroundings[key], cells) for key, cells in cut.items())
+        self._boxes = {key: self._fitted(surroundings[key], cut[key], lambda *box: values[box]) for key in cut}
 
     def value(self, level: int, box: int) -> Array:
         """Return the values in a box."""
@@ -144,33 +144,33 @@ class _SourceCells:
             whole |= (part.of_source == 1) & region.leaves[region.inside(part)]
         return leaves & ~whole
 
-    def _fitted(self, around: Surroundings, cut: Array, of_box: Callable[[int, int], Array]) -> _Box:
-        values = around.values(of_box)
-        coefficients = self._fits.coefficients(around, cut, values)
-        own = values[block(np.full(3, around.width), around.width + around.size - 1)]
+    def _fitted(self, surroundings: Surroundings, cut: Array, of_box: Callable[[int, int], Array]) -> _Box:
+        values = surroundings.values(of_box)
+        coefficients = self._fits.coefficients(surroundings, cut, values)
+        own = values[block(np.full(3, surroundings.width), surroundings.width + surroundings.size - 1)]
         limits = None
         if self._bounds is not None:
             if isinstance(self._bounds, str):
-                least, most = neighbour_bounds(around, values)
+                least, most = neighbour_bounds(surroundings, values)
             else:
                 least, most = (np.full(own.shape, bound) for bound in self._bounds)
-            limits = np.stack([least, most, self._share(around, own, coefficients, least, most)])
+            limits = np.stack([least, most, self._share(surroundings, own, coefficients, least, most)])
         return _Box(own, coefficients, limits)
 
-    def _share(self, around: Surroundings, own: Array, coefficients: Array, least: Array, most: Array) -> Array:
+    def _share(self, surroundings: Surroundings, own: Array, coefficients: Array, least: Array, most: Array) -> Array:
         """Return how much of its room each part of a cell takes of what clipping cuts off the others: below 0 downwards."""
-        rest, above, below = (np.zeros(own.shape) for _ in range(3))
+        remainder, above, below = (np.zeros(own.shape) for _ in range(3))
         powers = exponents(self._fits.order)
-        for region in _regions(self._source, around.level, around.box, self._target):
-            for part in parts(around.box, region.here, region.there, source_here=True):
+        for region in _regions(self._source, surroundings.level, surroundings.box, self._target):
+            for part in parts(surroundings.box, region.here, region.there, source_here=True):
                 volume = part.of_source * region.leaves[region.inside(part)]
                 mean = own + part.deviation(coefficients, powers)
                 clipped = np.clip(mean, least, most)
-                rest += volume * (mean - clipped)
+                remainder += volume * (mean - clipped)
                 above += volume * (most - clipped)
                 below += volume * (clipped - least)
-        room = np.where(rest > 0, above, below)
-        return np.divide(rest, room, out=np.zeros(own.shape), where=room > 0)
+        room = np.where(remainder > 0, above, below)
+        return np.divide(remainder, room, out=np.zeros(own.shape), where=room > 0)
 
 
 # ---- the cells of the target ----
@@ -204,27 +204,27 @@ class _Region:
 
     def assembled(self, of_boxes: Sequence[Array | None]) -> Array | None:
         """Return an array (..., nx, ny, nz) from those of the boxes, zero where they have none; none if all have none."""
-        some = next((held for held in of_boxes if held is not None), None)
-        if some is None:
+        sample = next((values for values in of_boxes if values is not None), None)
+        if sample is None:
             return None
-        out = np.zeros((*some.shape[:-3], *(self.upper - self.lower + 1)))
-        for box, held in zip(self.boxes, of_boxes, strict=True):
-            if held is None:
+        out = np.zeros((*sample.shape[:-3], *(self.upper - self.lower + 1)))
+        for box, values in zip(self.boxes, of_boxes, strict=True):
+            if values is None:
                 continue
             corners = self.lattice.boxes[self.level][box]
             low, high = np.maximum(corners[:3], self.lower), np.minimum(corners[3:], self.upper)
-            here, there = block(low - self.lower, high - self.lower), block(low - corners[:3], high - corners[:3])
-            out[(Ellipsis, *here)] = held[(Ellipsis, *there)]
+            outside, inside = block(low - self.lower, high - self.lower), block(low - corners[:3], high - corners[:3])
+            out[(Ellipsis, *outside)] = values[(Ellipsis, *inside)]
         return out
 
 
-def _regions(of: Lattice, level: int, corners: Array, other: Lattice) -> Iterator[_Region]:
+def _regions(of: Lattice, level: int, corners: Array, target: Lattice) -> Iterator[_Region]:
     """Yield what meets a box of one mesh on each level of the other that has cells there which count."""
-    here = of.extent(level)
-    for number in range(other.hierarchy.levels):
-        there = other.extent(number)
-        lower, upper = corners[:3] * there // here, ((corners[3:] + 1) * there - 1) // here
-        region = _Region(other, number, lower, upper, here, there)
+    extent = of.extent(level)
+    for number in range(target.hierarchy.levels):
+        extent_of_other = target.extent(number)
+        lower, upper = corners[:3] * extent_of_other // extent, ((corners[3:] + 1) * extent_of_other - 1) // extent
+        region = _Region(target, number, lower, upper, extent, extent_of_other)
         if region.leaves.any():
             yield region
 
@@ -234,10 +234,10 @@ def _averaged(corners: Array, regions: list[_Region], boxes: dict[tuple[int, int
     shape = corners[3:] - corners[:3] + 1
     total, least, most = np.zeros(shape), np.full(shape, np.inf), np.full(shape, -np.inf)
     for region in regions:
-        held = [boxes[region.level, box] for box in region.boxes]
-        values = region.assembled([box.values for box in held])
-        coefficients = region.assembled([box.coefficients for box in held])
-        limits = region.assembled([box.limits for box in held])
+        of_boxes = [boxes[region.level, box] for box in region.boxes]
+        values = region.assembled([box.values for box in of_boxes])
+        coefficients = region.assembled([box.coefficients for box in of_boxes])
+        limits = region.assembled([box.limits for box in of_boxes])
         assert values is not None
         for part in parts(corners, region.here, region.there, source_here=False):
             at = region.inside(part)
@@ -267,12 +267,12 @@ def _fetched(
     """Return what their owners hold in boxes, level and number, that this rank needs. Collective."""
     comm, hierarchy = lattice.hierarchy.comm, lattice.hierarchy
     if comm.size == 1:
-        return {one: own(*one) for one in needed}
+        return {key: own(*key) for key in needed}
     owners = [hierarchy.owners(level) for level in range(hierarchy.levels)]
     requests: list[list[tuple[int, int]]] = [[] for _ in range(comm.size)]
     for level, box in sorted(needed):
         requests[owners[level][box]].append((level, box))
-    asked = comm.alltoall(requests)
-    replies = comm.alltoall([[own(*one) for one in boxes] for boxes in asked])
+    requested = comm.alltoall(requests)
+    replies = comm.alltoall([[own(*key) for key in boxes] for boxes in requested])
     pairs = zip(requests, replies, strict=True)
-    return {one: held for boxes, of_rank in pairs for one, held in zip(boxes, of_rank, strict=True)}
+    return {key: values for boxes, of_rank in pairs for key, values in zip(boxes, of_rank, strict=True)}

@@ -61,8 +61,8 @@ def fitted_values(fields: Composite, name: str, points: Array, request: Request)
     shape = ((3,) if fields.is_vector(name) else ()) + ((3,) if request.what == "gradient" else ())
     out = np.full((len(points), *shape), np.nan)
     for first in range(0, len(points), TOGETHER):
-        some = slice(first, first + TOGETHER)
-        out[some] = _Sampler(fields, name, request, points[some]).values(shape)
+        chunk = slice(first, first + TOGETHER)
+        out[chunk] = _Sampler(fields, name, request, points[chunk]).values(shape)
     return out
 
 
@@ -98,8 +98,8 @@ class _Sampler:
         for n in range(GROWTHS):
             if left.size == 0:
                 break
-            found, good = self._fitted(left, reach, shape, WANTED if n < GROWTHS // 2 else ENOUGH)
-            out[left[good]] = found[good]
+            values, good = self._fitted(left, reach, shape, WANTED if n < GROWTHS // 2 else ENOUGH)
+            out[left[good]] = values[good]
             left, reach = left[~good], reach * GROWTH
         if left.size:
             raise InputError(
@@ -121,22 +121,22 @@ class _Sampler:
         out = np.full(len(self.points), -1)
         for level in self.levels:
             index = np.minimum(np.floor(self._places(level)[inside]).astype(np.int64), self._extent(level) - 1)
-            held = np.zeros(len(self.points), dtype=bool)
-            held[inside] = self.fields.levels[level].table.find(rows_of(index)) >= 0
-            out[held] = level
+            has_home = np.zeros(len(self.points), dtype=bool)
+            has_home[inside] = self.fields.levels[level].table.find(rows_of(index)) >= 0
+            out[has_home] = level
         return out
 
     # ---- the cells around ----
 
-    def _around(self, which: Array, reach: float) -> _Cells:
+    def _around(self, points: Array, reach: float) -> _Cells:
         """Return the cells whose centres lie within a reach of some points."""
-        found = []
-        for home in np.unique(self.home[which]):
-            at = np.flatnonzero(self.home[which] == home)
-            places = self._places(home)[which[at]]
-            found += [cells for level in self.levels for cells in self._of_level(at, places, home, level, reach)]
-        found.append(NOTHING)
-        point, offset, width, level, box, index = (np.concatenate(column) for column in zip(*found, strict=True))
+        parts = []
+        for home in np.unique(self.home[points]):
+            at = np.flatnonzero(self.home[points] == home)
+            places = self._places(home)[points[at]]
+            parts += [cells for level in self.levels for cells in self._of_level(at, places, home, level, reach)]
+        parts.append(NOTHING)
+        point, offset, width, level, box, index = (np.concatenate(column) for column in zip(*parts, strict=True))
         order = np.argsort(point, kind="stable")
         return _Cells(*(column[order] for column in (point, offset, width, level, box, index)))
 
@@ -156,16 +156,16 @@ class _Sampler:
         windows = np.where(crossing[:, None], np.hstack([lowest, highest]), np.hstack(ends) // stride)
         near = np.flatnonzero(crossing | of_level.table.meets(rows_of(np.hstack(ends))).astype(bool))
         groups = np.cumsum(cells_of(windows[near])) // CANDIDATES
-        for some in np.split(near, np.flatnonzero(np.diff(groups)) + 1):
-            row, blocks = each_cell(windows[some])
-            point = some[row]
+        for group in np.split(near, np.flatnonzero(np.diff(groups)) + 1):
+            row, blocks = each_cell(windows[group])
+            point = group[row]
             offset = (blocks + within) * block - places[point]
-            there = np.flatnonzero((offset**2).sum(axis=1) < reach**2)
-            index, box = self._looked_up(level, blocks[there] * stride + chosen)
-            held = box >= 0
-            there = there[held]
-            sizes = np.full(len(there), width), np.full(len(there), level)
-            yield at[point[there]], offset[there], *sizes, box[held], index[held]
+            inside = np.flatnonzero((offset**2).sum(axis=1) < reach**2)
+            index, box = self._looked_up(level, blocks[inside] * stride + chosen)
+            in_box = box >= 0
+            inside = inside[in_box]
+            sizes = np.full(len(inside), width), np.full(len(inside), level)
+            yield at[point[inside]], offset[inside], *sizes, box[in_box], index[in_box]
 
     def _looked_up(self, level: int, cells: Array) -> tuple[Array, Array]:
         """Return indices of cells (n, 3) in the domain, and their boxes, -1 for those that are not there or do not count."""
@@ -173,8 +173,8 @@ class _Sampler:
         index = np.where(np.array(self.fields.periodic), cells % extent, cells)
         box = levels[level].table.find(rows_of(index))  # behind walls there are none
         if self.request.level is None and level + 1 < len(levels):
-            held = np.flatnonzero(box >= 0)
-            box[held[levels[level + 1].table.find(rows_of(2 * index[held])) >= 0]] = -1
+            in_box = np.flatnonzero(box >= 0)
+            box[in_box[levels[level + 1].table.find(rows_of(2 * index[in_box])) >= 0]] = -1
         return index, box
 
     def _held(self, cells: _Cells) -> Array:
@@ -184,34 +184,34 @@ class _Sampler:
             of_level = np.flatnonzero(cells.level == level)
             for box in np.intersect1d(cells.box[of_level], self.fields.here(level)):
                 rows = of_level[cells.box[of_level] == box]
-                there = (cells.index[rows] - self.fields.levels[level].boxes[box, :3]).T
-                out[rows] = self.fields.values(self.name, int(level), box)[tuple(there)]
+                place = (cells.index[rows] - self.fields.levels[level].boxes[box, :3]).T
+                out[rows] = self.fields.values(self.name, int(level), box)[tuple(place)]
         return self.fields.total(out)
 
     # ---- the fit ----
 
     def _fitted(
-        self, which: Array, reach: float, shape: tuple[int, ...], kept: tuple[float, float]
+        self, points: Array, reach: float, shape: tuple[int, ...], bounds: tuple[float, float]
     ) -> tuple[Array, Array]:
         """Return what is wanted at some points, from the cells within a reach, and where these determine it. Collective.
 
         Each rank finds the weights for its share of the points.
         """
-        cells = self._around(which, reach)
-        held = self._held(cells)
-        first, last = share(self.fields.comm, len(which))
+        cells = self._around(points, reach)
+        values_of_cells = self._held(cells)
+        first, last = share(self.fields.comm, len(points))
         start = np.searchsorted(cells.point, np.arange(first, last + 1))
-        out, good = np.zeros((len(which), *shape)), np.zeros(len(which))
+        out, good = np.zeros((len(points), *shape)), np.zeros(len(points))
         if last > first:
             entries = slice(start[0], start[-1])
             stencils = self._stencils(cells.offset[entries], cells.width[entries], start - start[0], reach)
             growth = np.add.reduceat(np.abs(stencils.weights[:, 0]), stencils.start[:-1])
-            good[first:last] = (growth <= kept[0]) & (stencils.quality.pivot >= kept[1])
-            found = stencils.apply(held[entries])[self.request.what]
+            good[first:last] = (growth <= bounds[0]) & (stencils.quality.pivot >= bounds[1])
+            fitted = stencils.apply(values_of_cells[entries])[self.request.what]
             if self.request.what == "gradient":  # (n, 3, *components)
-                widths = np.array([level.spacing for level in self.fields.levels])[self.home[which[first:last]]]
-                found = np.moveaxis(found / widths.reshape(-1, 3, *[1] * (found.ndim - 2)), 1, -1)
-            out[first:last] = np.where(good[first:last].reshape(-1, *[1] * (found.ndim - 1)) > 0, found, 0.0)
+                widths = np.array([level.spacing for level in self.fields.levels])[self.home[points[first:last]]]
+                fitted = np.moveaxis(fitted / widths.reshape(-1, 3, *[1] * (fitted.ndim - 2)), 1, -1)
+            out[first:last] = np.where(good[first:last].reshape(-1, *[1] * (fitted.ndim - 1)) > 0, fitted, 0.0)
         return self.fields.total(out), self.fields.total(good) > 0
 
     def _stencils(self, offset: Array, width: Array, start: Array, reach: float) -> gmls.Stencils:

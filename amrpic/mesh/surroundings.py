@@ -140,20 +140,20 @@ class Surroundings:
 
     def irregular(self) -> Array:
         """Return which cells of the box have walls or coarser cells within `width`."""
-        other = scipy.ndimage.maximum_filter((self.depth != 0).astype(np.int8), 2 * self.width + 1, mode="constant")
-        return other[block(np.full(3, self.width), self.width + self.size - 1)].astype(bool)
+        deeper = scipy.ndimage.maximum_filter((self.depth != 0).astype(np.int8), 2 * self.width + 1, mode="constant")
+        return deeper[block(np.full(3, self.width), self.width + self.size - 1)].astype(bool)
 
 
 def _painted(lattice: Lattice, level: int, coarser: int, lower: Array, upper: Array, depth: Array) -> Iterator[Piece]:
     """Fill places that are unknown so far with cells so many levels coarser, and yield the pieces that do."""
-    known = depth != UNKNOWN
+    painted = depth != UNKNOWN
     for box, first, last, shift in lattice.meeting(level - coarser, lower >> coarser, upper >> coarser):
         low = np.maximum(first << coarser, lower)
         high = np.minimum(((last + 1) << coarser) - 1, upper)
-        here = block(low - lower, high - lower)
-        if known[here].all():
+        region = block(low - lower, high - lower)
+        if painted[region].all():
             continue
-        depth[here] = np.where(known[here], depth[here], coarser)
+        depth[region] = np.where(painted[region], depth[region], coarser)
         origin = lattice.boxes[level - coarser][box][:3] + shift
         index = tuple((np.arange(low[d], high[d] + 1) >> coarser) - origin[d] for d in range(3))
-        yield Piece(level - coarser, box, here, index)
+        yield Piece(level - coarser, box, region, index)

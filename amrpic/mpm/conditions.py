@@ -36,15 +36,15 @@ def held_by(scene: Scene, mesh: Mesh, loads: Loads) -> tuple[np.ndarray, np.ndar
     return fixed, values
 
 
-def body_force(there: Placed, plan: Plan, load: float) -> np.ndarray:
+def body_force(placed: Placed, plan: Plan, load: float) -> np.ndarray:
     """Return the forces of gravity on nodes at a part of the load, (nodes, 3) in N: of points' masses. Collective."""
-    points, whole = there.points, there.solid.points
+    points, whole = placed.points, placed.solid.points
     if not any(plan.scene.gravity):
-        return np.zeros((len(there.mesh.node_indices), 3))
+        return np.zeros((len(placed.mesh.node_indices), 3))
     density = np.array(plan.densities)[points.material]
     force = np.zeros((len(whole), 3))
-    mass_per_weight = density * points.initial_volume / whole.weight[there.body]
-    force[there.body] = mass_per_weight[:, None] * np.array(plan.scene.gravity) * load
+    mass_per_weight = density * points.initial_volume / whole.weight[placed.body]
+    force[placed.body] = mass_per_weight[:, None] * np.array(plan.scene.gravity) * load
     return whole.integrate(force)
 
 

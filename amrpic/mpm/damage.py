@@ -41,7 +41,7 @@ class DamageReport:
     @property
     def most_iterations(self) -> int:
         """Newton iterations of an equilibrium, at most."""
-        return max(one.iterations for one in self.equilibria)
+        return max(equilibrium.iterations for equilibrium in self.equilibria)
 
     @property
     def reason(self) -> str:
@@ -95,10 +95,10 @@ def damage_field(
     of_breaking = _DamageOperator(points, _native.mpm_damage(points.native, volume, source, surface * breaks, length))
     mask = np.zeros(len(solid.mesh.node_indices), dtype=bool) if fixed is None else np.asarray(fixed)
     empty = of_breaking.diagonal() <= 0
-    held = np.where(mask, np.broadcast_to(values, mask.shape), 0.0)
+    fixed_values = np.where(mask, np.broadcast_to(values, mask.shape), 0.0)
     right, free = points.integrate(source / solid.j), ~(mask | empty)
-    begin = held if start is None else start
-    at_zero, at_begin = ((right - operator @ d) * free for d in (held, begin))
+    begin = fixed_values if start is None else start
+    at_zero, at_begin = ((right - operator @ d) * free for d in (fixed_values, begin))
     within = tolerance * global_norm(solid.mesh.comm, at_zero)
     if (first := global_norm(solid.mesh.comm, at_begin)) <= within:
         return begin
@@ -186,5 +186,5 @@ def _farther_on(solid: Solid, past: Sequence[tuple[np.ndarray, np.ndarray]]) -> 
 def _apart(solid: Solid, u: np.ndarray, fixed: ArrayLike, load: ArrayLike | None) -> float:
     """The L2 norm of what is not in equilibrium. Collective."""
     residual = solid.respond(u).force - (0.0 if load is None else np.asarray(load))
-    held = mask_of(fixed, len(residual), 3, f"({len(residual)}, 3) there")
-    return global_norm(solid.mesh.comm, np.where(held, 0.0, residual))
+    constrained = mask_of(fixed, len(residual), 3, f"({len(residual)}, 3) there")
+    return global_norm(solid.mesh.comm, np.where(constrained, 0.0, residual))

@@ -69,20 +69,20 @@ def equilibrium(
     and leaves det F positive. What is `kept` of the preconditioner goes on to the next solve. What was reached is returned,
     converged or not. Collective; InputError on all ranks for arrays of other shapes.
     """
-    held, target, force = _conditions(solid, fixed, values, load)
+    constrained, target, force = _conditions(solid, fixed, values, load)
     u = np.zeros(target.shape) if start is None else _vector(solid, start, "start").copy()
     state, size = solid.respond(u), 0.0
     residuals: list[float] = []
     gradients: list[int] = []
     lengths: list[float] = []
-    solved = partial(solve, fixed=held, preconditioner=preconditioner, coarse=coarse, kept=kept or Kept())
+    solved = partial(solve, fixed=constrained, preconditioner=preconditioner, coarse=coarse, kept=kept or Kept())
     if linear_tolerance is None and preconditioner == "p-multigrid":
         solved = partial(solved, most_iterations=MOST_GRADIENTS)
     before, stiffening, reason = None, 0.0, "it took the most iterations"
     for iteration in range(most_iterations + 1):
-        residual, jump, energy = force - state.force, np.where(held, target - u, 0.0), state.energy
+        residual, jump, energy = force - state.force, np.where(constrained, target - u, 0.0), state.energy
         moving = _norm(solid, jump) > 0
-        residuals.append(_norm(solid, np.where(held, 0.0, residual)))
+        residuals.append(_norm(solid, np.where(constrained, 0.0, residual)))
         size = max(size, _norm(solid, state.force) + _norm(solid, force))
         del state
         if residuals[-1] <= tolerance * size and not moving:
@@ -102,23 +102,23 @@ def equilibrium(
             step, linear = solved(solid.tangent(u, form, part), residual, tolerance=LARGEST_FORCING)
             gradients[-1] += linear.iterations
         stiffening = part / 2 if part > LEAST_STIFFENING else 0.0
-        found = None
+        search = None
         if moving and even is not None:
-            there = _vector(solid, even, "the even displacement")
-            state = solid.respond(there)
+            displacement = _vector(solid, even, "the even displacement")
+            state = solid.respond(displacement)
             if state.smallest_j > 0:
-                step, u = u + step - there, there
-                residual, energy, moving, found = force - state.force, state.energy, False, (there, state, 0.0)
-        found = _searched(solid, u, step, residual, energy, force, held, moving, size) or found
-        if found is not None and part > 0:
-            found = _farther(solid, u, step, force, found)
-        if found is None:
+                step, u = u + step - displacement, displacement
+                residual, energy, moving, search = force - state.force, state.energy, False, (displacement, state, 0.0)
+        search = _searched(solid, u, step, residual, energy, force, constrained, moving, size) or search
+        if search is not None and part > 0:
+            search = _farther(solid, u, step, force, search)
+        if search is None:
             reason = "no part of a step leaves det F positive and lowers the residual or the potential"
             break
-        u, state, length = found
-        del found, step
+        u, state, length = search
+        del search, step
         if moving and length == 1:
-            u[held] = target[held]
+            u[constrained] = target[constrained]
         lengths.append(length)
     converged = reason == "the tolerance was met"
     return u, EquilibriumReport(converged, reason, residuals, size, gradients, lengths, energy)
@@ -137,7 +137,7 @@ def _searched(
     residual: np.ndarray,
     energy: float,
     force: np.ndarray,
-    held: np.ndarray,
+    constrained: np.ndarray,
     moving: bool,
     size: float,
 ) -> tuple[np.ndarray, Response, float] | None:
@@ -147,39 +147,42 @@ def _searched(
     must not rise: the residual also falls towards states that are not stable. It is known but to the rounding of what it is the
     sum of, about forces of this `size` times the width of an element.
     """
-    norm, slope = _norm(solid, np.where(held, 0.0, residual)), _dot(solid, residual, step)
+    norm, slope = _norm(solid, np.where(constrained, 0.0, residual)), _dot(solid, residual, step)
     work = _dot(solid, force, u)
     potential, uncertain = energy - work, ROUNDING * (abs(energy) + abs(work) + size * float(solid.mesh.spacing.max()))
     length = 1.0
     for _ in range(MOST_CUTS):
-        there = u + length * step
-        response = solid.respond(there)
+        trial = u + length * step
+        response = solid.respond(trial)
         if response.smallest_j > 0:
             if moving:
-                return there, response, length
-            change = response.energy - _dot(solid, force, there) - potential
-            left = _norm(solid, np.where(held, 0.0, force - response.force))
+                return trial, response, length
+            change = response.energy - _dot(solid, force, trial) - potential
+            left = _norm(solid, np.where(constrained, 0.0, force - response.force))
             if change <= -ENOUGH * length * slope < 0 or (change <= uncertain and left <= (1 - ENOUGH * length) * norm):
-                return there, response, length
+                return trial, response, length
         length /= 2
     return None
 
 
 def _farther(
-    solid: Solid, u: np.ndarray, step: np.ndarray, force: np.ndarray, found: tuple[np.ndarray, Response, float]
+    solid: Solid, u: np.ndarray, step: np.ndarray, force: np.ndarray, search: tuple[np.ndarray, Response, float]
 ) -> tuple[np.ndarray, Response, float]:
     """Where a step leads that was found where the tangent is not positive, which says little of its length. Collective.
 
     It is doubled while the potential falls.
     """
-    there, response, length = found
+    trial, response, length = search
     for _ in range(MOST_CUTS if length == 1 else 0):  # what is longer than a step that was cut is known not to be good
         beyond = u + 2 * length * step
-        then = solid.respond(beyond)
-        if not (then.smallest_j > 0 and then.energy - response.energy < _dot(solid, force, beyond - there)):
+        response_beyond = solid.respond(beyond)
+        if not (
+            response_beyond.smallest_j > 0
+            and response_beyond.energy - response.energy < _dot(solid, force, beyond - trial)
+        ):
             break
-        there, response, length = beyond, then, 2 * length
-    return there, response, length
+        trial, response, length = beyond, response_beyond, 2 * length
+    return trial, response, length
 
 
 def _conditions(
@@ -187,14 +190,14 @@ def _conditions(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     count = len(solid.mesh.node_indices)
     with together(solid.mesh.comm, InputError):
-        held = mask_of(fixed, count, 3, f"({count}, 3) there")
+        constrained = mask_of(fixed, count, 3, f"({count}, 3) there")
         target = held_of(values, (count, 3))
     force = np.zeros((count, 3)) if load is None else _vector(solid, load, "the load")
-    return held, target, force
+    return constrained, target, force
 
 
-def _vector(solid: Solid, values: ArrayLike, what: str) -> np.ndarray:
-    return checked_vector(solid.mesh, values, what, 3)[0].reshape(-1, 3)
+def _vector(solid: Solid, values: ArrayLike, name: str) -> np.ndarray:
+    return checked_vector(solid.mesh, values, name, 3)[0].reshape(-1, 3)
 
 
 def _dot(solid: Solid, a: np.ndarray, b: np.ndarray) -> float:

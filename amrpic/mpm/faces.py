@@ -44,9 +44,9 @@ class Face(Section):
             return {"kind": data}
         if isinstance(data, Mapping) and len(data) == 1 and set(data) <= set(MOVES):
             ((name, part),) = data.items()
-            sign, limit, what, remedy = MOVES[name]
+            sign, limit, requirement, remedy = MOVES[name]
             if isinstance(part, bool) or not isinstance(part, int | float) or not 0 < part < limit:
-                raise complaint(f"is no part of the length {what}", f"give a {remedy}", path=name, found=part)
+                raise complaint(f"is no part of the length {requirement}", f"give a {remedy}", path=name, found=part)
             return {"change": sign * part}
         if isinstance(data, Mapping) and not set(data) <= set(cls.model_fields):
             raise complaint(

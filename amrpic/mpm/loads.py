@@ -40,8 +40,8 @@ class Loads:
     @property
     def end(self) -> float:
         """Where the next step ends."""
-        rest, length = 1 - self.begin, self.length or 1 / self.steps
-        return 1.0 if rest < length * (1 + 1e-9) else self.begin + length
+        remaining, length = 1 - self.begin, self.length or 1 / self.steps
+        return 1.0 if remaining < length * (1 + 1e-9) else self.begin + length
 
     @property
     def steps_left(self) -> int:
@@ -68,11 +68,11 @@ class Loads:
         """
         length, most = self.length or 1 / self.steps, NEAR * self.damage_step
         likely = [f for f in FACTORS if f * growth <= most and (f <= 1 or iterations <= self.easy)]
-        wanted = length * max(likely, default=FACTORS[-1])
+        longest = length * max(likely, default=FACTORS[-1])
         return replace(
             self,
             begin=self.end,
-            length=min(1 / self.steps, max(wanted, min(length, self._shortest))),
+            length=min(1 / self.steps, max(longest, min(length, self._shortest))),
             refused=(),
         )
 

@@ -61,24 +61,24 @@ def require_inside(columns: Columns, mesh: Mesh, load: float) -> None:
     ParticleError on all ranks for one that is farther outside, or whose det F is not positive.
     """
     lower, upper = np.array(mesh.domain.lower), np.array(mesh.domain.upper)
-    given, j = columns["position"], determinants(columns["deformation"])
-    place = np.empty_like(given)
+    places, j = columns["position"], determinants(columns["deformation"])
+    place = np.empty_like(places)
     far = AT_FACE * float((upper - lower).max())
-    out = np.zeros(len(given), dtype=bool)
+    out = np.zeros(len(places), dtype=bool)
     for d in range(3):
-        np.clip(given[:, d], lower[d], upper[d], out=place[:, d])
-        out |= ~(np.abs(given[:, d] - place[:, d]) <= far)
+        np.clip(places[:, d], lower[d], upper[d], out=place[:, d])
+        out |= ~(np.abs(places[:, d] - place[:, d]) <= far)
     bad = np.flatnonzero(out | ~(j > 0))
-    what = None
+    problem = None
     if len(bad):
         n = bad[0]
         why = "lies outside the mesh" if out[n] else "is turned inside out"
-        at = ", ".join(f"{x:.6g}" for x in given[n])
-        what = (
+        at = ", ".join(f"{x:.6g}" for x in places[n])
+        problem = (
             f"point {columns['id'][n]} at ({at}) m with det F = {j[n]:.4g} {why} at {load:.4g} of the load, as {len(bad)} do "
             "on a rank; take smaller steps, or enlarge the domain"
         )
-    raise_together(mesh.comm, what, ParticleError)
+    raise_together(mesh.comm, problem, ParticleError)
     columns["position"] = place
 
 
@@ -88,19 +88,19 @@ def migrate(columns: Columns, mesh: Mesh) -> tuple[MaterialPoints, int]:
     Nothing is left in `columns`: each is freed as soon as its values are in their places, so that not all are there twice, and
     F is written over where it has room for what comes.
     """
-    given = np.asfortranarray(columns.pop("position"))
+    places = np.asfortranarray(columns.pop("position"))
     plan = _native.Migration(
         mesh.hierarchy.particle_mesh,
         OWNERS,
-        given,
-        given,  # in place of momenta, which these points do not have
+        places,
+        places,  # in place of momenta, which these points do not have
         np.ascontiguousarray(columns.pop("initial_volume")),
         np.ascontiguousarray(columns.pop("id")),
         NONE,
         has_weights=True,
     )
-    del given
-    count, came = plan.arriving, plan.from_others
+    del places
+    count, arrived = plan.arriving, plan.from_others
     place, volume, number = np.empty((3, count)).T, np.empty(count), np.empty(count, dtype=np.int64)
     finite = plan.start(place, place, volume, number)
     plan.receive(place, place, volume, number)
@@ -110,21 +110,21 @@ def migrate(columns: Columns, mesh: Mesh) -> tuple[MaterialPoints, int]:
     place, volume, number = place[order], volume[order], number[order]
 
     def carried(column: np.ndarray) -> np.ndarray:
-        there = np.empty((1, count))
-        plan.carry(np.ascontiguousarray(column, dtype=np.float64)[None], there)
-        return there[0, order]
+        deformations = np.empty((1, count))
+        plan.carry(np.ascontiguousarray(column, dtype=np.float64)[None], deformations)
+        return deformations[0, order]
 
     before = np.ascontiguousarray(columns.pop("deformation"))
-    there = before[:count] if count <= len(before) else np.empty((count, 3, 3))
+    deformations = before[:count] if count <= len(before) else np.empty((count, 3, 3))
     for i, j in np.ndindex(3, 3):
-        there[:, i, j] = carried(before[:, i, j])
+        deformations[:, i, j] = carried(before[:, i, j])
     del before
     material = carried(columns.pop("material")).astype(np.int32)
     damage, driving = (
         carried(column) if mesh.comm.allreduce(column.any(), MPI.LOR) else _zeros(count)
         for column in (columns.pop("damage"), columns.pop("driving"))
     )
-    return MaterialPoints(place, number, material, there, volume, damage, driving), came
+    return MaterialPoints(place, number, material, deformations, volume, damage, driving), arrived
 
 
 def _zeros(count: int) -> np.ndarray:
@@ -172,42 +172,42 @@ def placed(
     rough = _several(element, points.material, len(mesh.elements))
     weighed = Points(mesh, element, reference, lambda: points.volume, points.id, weights, rough=rough, free=free)
     weight = np.bincount(element, weighed.weight, len(mesh.elements))
-    held = weighed.held
-    poor = held < enough(mesh.degree)
+    points_of_elements = weighed.held
+    poor = points_of_elements < enough(mesh.degree)
     if floor_stiffness == 0:
-        _require_enough(mesh, held, poor)
+        _require_enough(mesh, points_of_elements, poor)
     carried = (points.material, points.deformation, points.damage, points.driving)
     thin = np.flatnonzero(poor | (np.abs(weight - mesh.element_volume) > FILLED * mesh.element_volume))
-    some = int(mesh.comm.allreduce(len(thin) if floor_stiffness > 0 else 0))
-    if some == 0:
+    filled_elements = int(mesh.comm.allreduce(len(thin) if floor_stiffness > 0 else 0))
+    if filled_elements == 0:
         material, deformation, damage, driving = carried
         solid = Solid(weighed, materials, material, deformation=deformation, damage=damage, driving=driving)
         return Placed(points, solid, slice(None), weighed)
     rule, weak = gauss(mesh), NeoHookean(floor_stiffness, 0.0)
     of_floor = np.isin(rule.element, thin)
-    more, none = int(of_floor.sum()), np.full(of_floor.sum(), -1)
+    added, no_ids = int(of_floor.sum()), np.full(of_floor.sum(), -1)
     order = np.argsort(np.concatenate([element, rule.element[of_floor]]), kind="stable")
 
     def joined(own: np.ndarray, floor: np.ndarray) -> np.ndarray:
         return np.concatenate([own, floor])[order]
 
-    every = Points(
+    all_points = Points(
         mesh,
         joined(element, rule.element[of_floor]),
         joined(reference, rule.reference[of_floor]),
         joined(points.volume, rule.volume[of_floor]),
-        joined(points.id, none),
+        joined(points.id, no_ids),
         weight=joined(weighed.weight, rule.weight[of_floor]),
     )
     solid = Solid(
-        every,
+        all_points,
         [*materials, weak],
-        joined(points.material, np.full(more, len(materials))),
-        deformation=joined(points.deformation, np.broadcast_to(np.eye(3), (more, 3, 3))),
-        damage=joined(points.damage, np.zeros(more)),
-        driving=joined(points.driving, np.zeros(more)),
+        joined(points.material, np.full(added, len(materials))),
+        deformation=joined(points.deformation, np.broadcast_to(np.eye(3), (added, 3, 3))),
+        damage=joined(points.damage, np.zeros(added)),
+        driving=joined(points.driving, np.zeros(added)),
     )
-    own = (rule.element[of_floor], rule.reference[of_floor], rule.volume[of_floor], none)
+    own = (rule.element[of_floor], rule.reference[of_floor], rule.volume[of_floor], no_ids)
     floor = Solid(Points(mesh, *own, weight=rule.weight[of_floor]), weak)
     return Placed(points, solid, np.argsort(order)[: len(points)], weighed, floor)
 
@@ -219,12 +219,12 @@ def _several(element: np.ndarray, material: np.ndarray, count: int) -> np.ndarra
     return out
 
 
-def _require_enough(mesh: Mesh, held: np.ndarray, poor: np.ndarray) -> None:
+def _require_enough(mesh: Mesh, counts: np.ndarray, poor: np.ndarray) -> None:
     """Raise InputError on all ranks if elements have too few points. Collective."""
     first = int(np.argmax(poor)) if poor.any() else 0
     raise_together(
         mesh.comm,
-        f"element {mesh.elements[first].tolist()} has {held[first]} points, fewer than the {enough(mesh.degree)} that degree "
+        f"element {mesh.elements[first].tolist()} has {counts[first]} points, fewer than the {enough(mesh.degree)} that degree "
         f"{mesh.degree} needs, and is one of {int(poor.sum())} such on a rank; "
         "set floor_stiffness, or fill it with a soft material"
         if poor.any()

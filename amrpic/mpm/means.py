@@ -21,8 +21,8 @@ STRESSES = {
 def cauchy_of(state: State) -> np.ndarray:
     """Return Cauchy's stress at this rank's points, (n, 3, 3) in Pa. Collective."""
     solid = state.placed.solid
-    rest = np.zeros((len(state.placed.mesh.node_indices), 3))
-    return solid.states(rest).cauchy[state.placed.body]
+    at_rest = np.zeros((len(state.placed.mesh.node_indices), 3))
+    return solid.states(at_rest).cauchy[state.placed.body]
 
 
 def point_values(state: State) -> tuple[dict[str, np.ndarray], dict[str, str]]:

@@ -59,9 +59,9 @@ def degrees(scene: Scene) -> list[str]:
     return ["weights_are_volumes", *(f"weights_exact_to_{m}" for m in range(highest + 1))]
 
 
-def loose_weights(there: Placed) -> list[str]:
+def loose_weights(placed: Placed) -> list[str]:
     """Return a sentence if weights of more than `MOST_LOOSE` of the full elements are not exact to their degree. Collective."""
-    exact, degree = there.weighed.exactness(), there.mesh.degree
+    exact, degree = placed.weighed.exactness(), placed.mesh.degree
     full, loose = (sum(count for m, count in exact.items() if 0 <= m < most) for most in (HIGHEST_DEGREE + 1, degree))
     if loose <= MOST_LOOSE * full:
         return []
@@ -71,11 +71,11 @@ def loose_weights(there: Placed) -> list[str]:
     ]
 
 
-def at_rest(there: Placed, plan: Plan) -> dict[str, float]:
+def at_rest(placed: Placed, plan: Plan) -> dict[str, float]:
     """Return what points by themselves say. Collective."""
-    points, comm = there.points, plan.comm
+    points, comm = placed.points, plan.comm
     j = points.j
-    exact = there.weighed.exactness()
+    exact = placed.weighed.exactness()
     return {
         "points": comm.allreduce(len(points)),
         "j_min": comm.allreduce(float(j.min(initial=np.inf)), MPI.MIN),
@@ -91,19 +91,19 @@ def measure(state: State, loads: Loads, settled: Settled, report: DamageReport, 
     Work is since the start, by the mean of forces before and after a step; forces before it are those of the points on the
     present mesh.
     """
-    scene, there, u = plan.scene, state.placed, settled.displacement
-    mesh, solid = there.mesh, settled.solid
+    scene, placed, u = plan.scene, state.placed, settled.displacement
+    mesh, solid = placed.mesh, settled.solid
     fixed, values = held_by(scene, mesh, loads)
-    loaded = [body_force(there, plan, load) for load in (loads.begin, loads.end)]
-    held = [there.solid.respond(0 * u).force - loaded[0], solid.respond(u).force - loaded[1]]
-    mean = (held[0] + held[1]) / 2
-    of_floor = there.floor.respond(u).force if there.floor is not None else np.zeros_like(u)
+    loaded = [body_force(placed, plan, load) for load in (loads.begin, loads.end)]
+    forces = [placed.solid.respond(0 * u).force - loaded[0], solid.respond(u).force - loaded[1]]
+    mean = (forces[0] + forces[1]) / 2
+    of_floor = placed.floor.respond(u).force if placed.floor is not None else np.zeros_like(u)
     faces = [(axis, nodes_of(mesh, axis, side)) for axis in range(3) for side in range(2)]  # in the order of FACES
     materials = len(scene.materials)
     total = _summed(
         plan.comm,
-        force=[held[1][on, axis].sum() for axis, on in faces],
-        size=[np.abs(held[1][on, axis]).sum() for axis, on in faces],
+        force=[forces[1][on, axis].sum() for axis, on in faces],
+        size=[np.abs(forces[1][on, axis]).sum() for axis, on in faces],
         floor=[np.abs(of_floor[on, axis]).sum() for axis, on in faces],
         work=[
             *((mean[on, axis] * values[on, axis]).sum() for axis, on in faces),
@@ -118,8 +118,8 @@ def measure(state: State, loads: Loads, settled: Settled, report: DamageReport, 
     done = zip(names, [*total["work"], *total["unbalanced"]], strict=True)
     totals = {name: state.measured.get(name, 0.0) + float(value) for name, value in done}
     all_work = sum(totals[name] for name in names[:-1])
-    newton = [one.iterations for one in report.equilibria]
-    cg = [count for one in report.equilibria for count in one.gradients]
+    newton = [solved.iterations for solved in report.equilibria]
+    cg = [count for solved in report.equilibria for count in solved.gradients]
     before, after = scene.extent(0.0), scene.extent(loads.end)
     shorter = (before[1] - before[0]) - (after[1] - after[0])
     return {
@@ -130,9 +130,9 @@ def measure(state: State, loads: Loads, settled: Settled, report: DamageReport, 
         **totals,
         "work": all_work,
         "stored": float(sum(stored)),
-        **{f"stored_{name}": float(one) for name, one in zip(scene.materials, stored, strict=True)},
+        **{f"stored_{name}": float(solved) for name, solved in zip(scene.materials, stored, strict=True)},
         "dissipated": float(sum(dissipated)),
-        **{f"dissipated_{name}": float(one) for name, one in zip(scene.materials, dissipated, strict=True)},
+        **{f"dissipated_{name}": float(solved) for name, solved in zip(scene.materials, dissipated, strict=True)},
         "gap": all_work - float(sum(stored)) - float(sum(dissipated)),
         "damage_growth": report.growth,
         "turns": report.turns,
@@ -146,8 +146,8 @@ def measure(state: State, loads: Loads, settled: Settled, report: DamageReport, 
 
 def _summed(comm: MPI.Comm, **parts: Sequence[float] | np.ndarray) -> dict[str, np.ndarray]:
     """The sums over ranks of several numbers each. Collective."""
-    total = comm.allreduce(np.concatenate([np.asarray(one, dtype=np.float64) for one in parts.values()]))
-    ends = np.cumsum([len(one) for one in parts.values()])
+    total = comm.allreduce(np.concatenate([np.asarray(values, dtype=np.float64) for values in parts.values()]))
+    ends = np.cumsum([len(values) for values in parts.values()])
     return dict(zip(parts, np.split(total, ends[:-1]), strict=True))
 
 

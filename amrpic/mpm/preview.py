@@ -52,25 +52,25 @@ def _structure(plan: Plan, state: State) -> list[str]:
     points, names = state.placed.points, list(plan.scene.materials)
     count = np.bincount(points.material, minlength=len(names))
     volume = np.bincount(points.material, points.initial_volume, len(names))
-    held = plan.comm.allreduce(np.stack([count, volume, volume * plan.densities]))
+    sums = plan.comm.allreduce(np.stack([count, volume, volume * plan.densities]))
     lower, upper = plan.scene.extent(0.0)
     whole = math.prod(upper - lower)
     return [
         f"{name}: {int(n)} points, {100 * v / whole:.3g} % of the domain, {quantity(1e3 * m, 'g')}"
-        for name, n, v, m in zip(names, *held, strict=True)
+        for name, n, v, m in zip(names, *sums, strict=True)
     ]
 
 
 def _elements(plan: Plan, state: State) -> list[str]:
     """Return how many points elements have, and to what degree their weights are exact."""
-    placed, comm, held = state.placed, plan.comm, state.placed.weighed.held
-    least, most = comm.allreduce(int(held.min(initial=2**31)), MPI.MIN), int(global_max(comm, held.max(initial=0)))
+    placed, comm, counts = state.placed, plan.comm, state.placed.weighed.held
+    least, most = comm.allreduce(int(counts.min(initial=2**31)), MPI.MIN), int(global_max(comm, counts.max(initial=0)))
     exact = ", ".join(
         f"{count} to degree {m}" if m >= 0 else f"{count} not at all" for m, count in placed.weighed.exactness().items()
     )
     floor = comm.allreduce(len(placed.solid.points) - len(placed.points))
-    more = [f"the floor stiffness adds {floor} points where these are too few"] if floor else []
-    return [f"points of an element: {least} to {most}; elements whose weights are exact: {exact}", *more]
+    of_floor = [f"the floor stiffness adds {floor} points where these are too few"] if floor else []
+    return [f"points of an element: {least} to {most}; elements whose weights are exact: {exact}", *of_floor]
 
 
 def _memory(plan: Plan) -> list[str]:

@@ -50,9 +50,9 @@ def load(comm: MPI.Comm, path: Path, scene: Scene | None = None) -> tuple[State,
         )
     scene = scene if scene is not None else Scene.from_dict(made_by, source=f"the scene in {path}")
     now, before = ({**data, "materials": list(data["materials"])} for data in (scene.to_dict(), made_by))
-    require_same(scene.name, path, (one for part in FIXED for one in differences(now[part], before[part], part)))
+    require_same(scene.name, path, (change for part in FIXED for change in differences(now[part], before[part], part)))
     plan = Plan(comm, scene)
-    held, extra = read(comm, path, contents=contents), header.extra
+    stored, extra = read(comm, path, contents=contents), header.extra
     loads = scene.schedule.loads(extra["begin"], extra["length"])
-    there, _ = put(dict(held.tables["points"]), plan, loads.begin)
-    return State(header.step, loads, there, extra["measured"]), plan
+    points, _ = put(dict(stored.tables["points"]), plan, loads.begin)
+    return State(header.step, loads, points, extra["measured"]), plan

@@ -33,22 +33,22 @@ def sample(scene: Scene, mesh: Mesh) -> MaterialPoints:
 
     Points where the structure is empty are left out. SceneError on all ranks if there are no others, or a file is none.
     """
-    drawn = LAYOUTS[scene.points.layout](mesh, scene)
-    place = drawn.position
+    points = LAYOUTS[scene.points.layout](mesh, scene)
+    place = points.position
     with together(mesh.comm, SceneError):
         material = scene.structure.labels(place, scene.extent(0.0), list(scene.materials))
-    some = material >= 0
-    count = int(some.sum())
+    solid = material >= 0
+    count = int(solid.sum())
     everywhere = global_sum(mesh.comm, count)
     raise_together(
         mesh.comm, f"{scene.name}: the structure is empty; give it a material" if everywhere == 0 else None, SceneError
     )
     return MaterialPoints(
-        place[some],
-        drawn.number[some].astype(np.int64),
-        material[some].astype(np.int32),
+        place[solid],
+        points.number[solid].astype(np.int64),
+        material[solid].astype(np.int32),
         np.tile(np.eye(3), (count, 1, 1)),
-        drawn.volume[some],
+        points.volume[solid],
         np.zeros(count),
         np.zeros(count),
     )

@@ -241,10 +241,10 @@ class Scene(AnyScene):
     def _require_materials(self) -> None:
         for path, name in self.structure.names(list(self.materials)):
             if name not in self.materials and name != EMPTY:
-                known = ", ".join(self.materials)
+                materials = ", ".join(self.materials)
                 raise complaint(
                     "is no material of the scene",
-                    f'use {known}, or "{EMPTY}" where there is nothing',
+                    f'use {materials}, or "{EMPTY}" where there is nothing',
                     path=f"structure.{path}",
                     found=name,
                 )

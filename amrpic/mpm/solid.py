@@ -79,8 +79,8 @@ class Solid:
         self.points, self.mesh = points, points.mesh
         with together(self.mesh.comm, InputError):
             self.materials = tuple(materials) if isinstance(materials, Sequence) else (materials,)
-            which = np.zeros(count, dtype=np.int32) if material is None else np.asarray(material)
-            self.material = np.ascontiguousarray(which, dtype=np.int32)
+            numbers = np.zeros(count, dtype=np.int32) if material is None else np.asarray(material)
+            self.material = np.ascontiguousarray(numbers, dtype=np.int32)
             unknown = (self.material < 0) | (self.material >= len(self.materials))
             if self.material.shape != (count,) or unknown.any():
                 raise InputError(
@@ -123,8 +123,8 @@ class Solid:
 
     def respond(self, u: ArrayLike) -> Response:
         """Return internal forces and energy of a displacement. Collective. InputError on all ranks for another shape."""
-        given, _ = checked_vector(self.mesh, u, "the displacement", 3)
-        force, energy, smallest_j = self.native.respond(given)
+        displacement, _ = checked_vector(self.mesh, u, "the displacement", 3)
+        force, energy, smallest_j = self.native.respond(displacement)
         return Response(force.reshape(-1, 3), energy, smallest_j)
 
     def tangent(self, u: ArrayLike, form: Form = "current", stiffening: float = 0.0) -> Tangent:
@@ -134,14 +134,14 @@ class Solid:
         without damage alone. InputError on all ranks otherwise. With `stiffening` the operator is stiffer against rotation
         where stress compresses: by a part of what leaves no direction without stiffness.
         """
-        given, _ = checked_vector(self.mesh, u, "the displacement", 3)
+        displacement, _ = checked_vector(self.mesh, u, "the displacement", 3)
         with together(self.mesh.comm, InputError):
             if form not in get_args(Form):
                 raise InputError(f'form is "{form}"; use {" or ".join(get_args(Form))}')
             plain = all(isinstance(m, NeoHookean) and m.damage is None for m in self.materials)
             if form == "initial" and not plain:
                 raise InputError('form is "initial", which neo-Hookean materials without damage have; use "current"')
-        return Tangent(self.points, self.native.tangent(given, get_args(Form).index(form), stiffening))
+        return Tangent(self.points, self.native.tangent(displacement, get_args(Form).index(form), stiffening))
 
     def states(self, u: ArrayLike) -> States:
         """Return what points have at a displacement, where all det F must be positive. Collective."""
@@ -151,16 +151,16 @@ class Solid:
 
     def displaced(self, u: ArrayLike) -> np.ndarray:
         """Return F of points at a displacement, (n, 3, 3). Collective. InputError on all ranks for another shape."""
-        given, _ = checked_vector(self.mesh, u, "the displacement", 3)
-        return self.native.deformation(given).reshape(-1, 3, 3)
+        displacement, _ = checked_vector(self.mesh, u, "the displacement", 3)
+        return self.native.deformation(displacement).reshape(-1, 3, 3)
 
     def energies(self, u: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Return energies of points at a displacement and what drives damage, (n,) in J per initial m³. Collective.
 
         All det F must be positive. InputError on all ranks for another shape.
         """
-        given, _ = checked_vector(self.mesh, u, "the displacement", 3)
-        return self.native.energies(given)
+        displacement, _ = checked_vector(self.mesh, u, "the displacement", 3)
+        return self.native.energies(displacement)
 
     def dissipation(self, damage_at_nodes: ArrayLike) -> np.ndarray:
         """Return G/(2ℓ) (d² + ℓ² |∇d|²) of each point, (n,) in J per initial m³: what breaking took. Collective."""
@@ -176,10 +176,10 @@ class Solid:
 
     def surface_and_length(self) -> tuple[np.ndarray, np.ndarray]:
         """Return G/ℓ in J/m³ and ℓ in m of each point, zeros where its material does not break. Local."""
-        each = [
+        of_damages = [
             (m.damage.toughness / m.damage.length, m.damage.length) if m.damage else (0.0, 0.0) for m in self.materials
         ]
-        surface, length = np.array(each)[self.material].T
+        surface, length = np.array(of_damages)[self.material].T
         return np.ascontiguousarray(surface), np.ascontiguousarray(length)
 
 
@@ -188,8 +188,8 @@ def determinants(deformation: np.ndarray) -> np.ndarray:
     return _native.mpm_determinants(np.ascontiguousarray(deformation).reshape(-1))
 
 
-def _array(values: ArrayLike, shape: tuple[int, ...], what: str) -> np.ndarray:
-    array = reals(values, what, f"{shape} there")
+def _array(values: ArrayLike, shape: tuple[int, ...], name: str) -> np.ndarray:
+    array = reals(values, name, f"{shape} there")
     if array.shape != shape:
-        raise InputError(f"{what} has shape {array.shape} on a rank; give {shape} there")
+        raise InputError(f"{name} has shape {array.shape} on a rank; give {shape} there")
     return array

@@ -18,8 +18,8 @@ def begin(plan: Plan) -> State:
     mesh, scene = mesh_of(plan.comm, plan.scene), plan.scene
     with plan.clock("sample"):
         columns = sample(scene, mesh).columns()
-    there, _ = put(columns, plan, 0.0)
-    return State(0, scene.schedule.loads(), there, at_rest(there, plan))
+    points, _ = put(columns, plan, 0.0)
+    return State(0, scene.schedule.loads(), points, at_rest(points, plan))
 
 
 def advance(state: State, plan: Plan) -> State:
@@ -33,12 +33,12 @@ def advance(state: State, plan: Plan) -> State:
             settled, report = _equilibrium(state, loads, plan)
             measured = measure(state, loads, settled, report, plan)
             solid, u, body = settled.solid, settled.displacement, state.placed.body
-            there, came = put(moved(solid, u, body, points.initial_volume).columns(), plan, loads.end)
+            points_then, arrived = put(moved(solid, u, body, points.initial_volume).columns(), plan, loads.end)
             break
         except (SolverError, ParticleError) as why:  # a large step may fold the mesh between points: some are outside
             loads, cuts = loads.cut(str(why)), cuts + 1
-    measured |= {"cuts": cuts, "changed_rank": plan.comm.allreduce(came)} | at_rest(there, plan)
-    return State(state.step + 1, loads.taken(report.most_iterations, report.growth), there, measured)
+    measured |= {"cuts": cuts, "changed_rank": plan.comm.allreduce(arrived)} | at_rest(points_then, plan)
+    return State(state.step + 1, loads.taken(report.most_iterations, report.growth), points_then, measured)
 
 
 def put(columns: Columns, plan: Plan, load: float) -> tuple[Placed, int]:
@@ -50,23 +50,23 @@ def put(columns: Columns, plan: Plan, load: float) -> tuple[Placed, int]:
     with plan.clock("migrate"):
         mesh = mesh_of(plan.comm, scene, load)
         require_inside(columns, mesh, load)
-        there, came = migrate(columns, mesh)
+        points, arrived = migrate(columns, mesh)
     with plan.clock("weigh"):
         free = [[face.kind == "free" for face in pair] for pair in scene.faces.values()]
-        return placed(there, mesh, plan.materials, scene.points.weights, scene.floor_stiffness, free), came
+        return placed(points, mesh, plan.materials, scene.points.weights, scene.floor_stiffness, free), arrived
 
 
 def _equilibrium(state: State, loads: Loads, plan: Plan) -> tuple[Settled, DamageReport]:
     """Return where forces balance at the end of a step. Collective; SolverError on all ranks if that is not found."""
-    scene, there = plan.scene, state.placed
-    fixed, values = held_by(scene, there.mesh, loads)
+    scene, placed = plan.scene, state.placed
+    fixed, values = held_by(scene, placed.mesh, loads)
     with plan.clock("equilibrium"):
         settled, report = settle(
-            there.solid,
+            placed.solid,
             fixed=fixed,
             values=values,
-            even=even_motion(scene, there.mesh, loads),
-            load=body_force(there, plan, loads.end),
+            even=even_motion(scene, placed.mesh, loads),
+            load=body_force(placed, plan, loads.end),
             tolerance=scene.solver.tolerance,
             damage_tolerance=scene.solver.damage_tolerance,
             most_turns=scene.solver.turns,

@@ -117,20 +117,20 @@ class Voronoi(Structure):
         number, (lower, upper) = _numbers(materials), corners
         draw = np.random.default_rng(self.seed)
         volume = float(np.prod(upper - lower))
-        apart = (volume / self.grains) ** (1 / 3)
+        spacing = (volume / self.grains) ** (1 / 3)
         centres = lower + draw.uniform(size=(self.grains, 3)) * (upper - lower)
         near = scipy.spatial.cKDTree(centres).query(places, k=min(2, self.grains))[0].reshape(len(places), -1)
-        joint = near[:, -1] - near[:, 0] < JOINT * apart if self.grains > 1 else np.zeros(len(places), dtype=bool)
+        joint = near[:, -1] - near[:, 0] < JOINT * spacing if self.grains > 1 else np.zeros(len(places), dtype=bool)
         out = np.where(joint, number[self.binder], number[self.grain])
         # Balls overlap, and some reach in from outside: of centres without order, of balls that add up to a part a of the
         # space, a place is in none with the probability exp(-a).
-        largest, taken = 0.5 * apart, 0.0
-        around = upper - lower + 2 * largest
-        while taken < -np.log(1 - self.voids):
-            radius = draw.uniform(0.3, 0.5) * apart
-            centre = lower - largest + draw.uniform(size=3) * around
+        largest, reach = 0.5 * spacing, 0.0
+        extent = upper - lower + 2 * largest
+        while reach < -np.log(1 - self.voids):
+            radius = draw.uniform(0.3, 0.5) * spacing
+            centre = lower - largest + draw.uniform(size=3) * extent
             out[((places - centre) ** 2).sum(axis=1) <= radius**2] = number[self.void]
-            taken += 4 / 3 * np.pi * radius**3 / float(np.prod(around))
+            reach += 4 / 3 * np.pi * radius**3 / float(np.prod(extent))
         return out
 
 

@@ -154,13 +154,13 @@ def frames_of(
     if last.motion:
         stays = last.only == LABORATORY and moves @ moves < STATIC
         if stays or np.linalg.norm(moves - last.moves) <= SAME * np.linalg.norm(moves):
-            found = last
+            frames = last
         else:
-            found, flows = _framed(comm, particles, domain, choice, last, (last.axis, last.edges, last.of))
-            found = replace(found, error=last.error, across=last.across, motion=last.motion, moves=vector(moves))
-            _require_slow_in_laboratory(comm, particles, choice, found, flows)
-        if not _has_changed(_motion(comm, particles, found), last.motion):
-            return found
+            frames, flows = _framed(comm, particles, domain, choice, last, (last.axis, last.edges, last.of))
+            frames = replace(frames, error=last.error, across=last.across, motion=last.motion, moves=vector(moves))
+            _require_slow_in_laboratory(comm, particles, choice, frames, flows)
+        if not _has_changed(_motion(comm, particles, frames), last.motion):
+            return frames
     mean, square = momenta_of(comm, particles)
     if not square.sum() <= LARGEST_MOMENTUM**2:
         raise InputError(
@@ -170,10 +170,10 @@ def frames_of(
     axis = int(np.argmax(mean**2 + BOTH_WAYS * square))
     one_frame = choice == "lab" or bins == 1
     edges, groups = ((), [ALL]) if one_frame else _divided(comm, particles, axis, bins)
-    found, flows = _framed(comm, particles, domain, choice, last, (axis, edges, groups))
-    found = _errors(comm, particles, found, flows)
-    _require_slow_in_laboratory(comm, particles, choice, found, flows)
-    return replace(found, moves=vector(moves), motion=_motion(comm, particles, found))
+    frames, flows = _framed(comm, particles, domain, choice, last, (axis, edges, groups))
+    frames = _errors(comm, particles, frames, flows)
+    _require_slow_in_laboratory(comm, particles, choice, frames, flows)
+    return replace(frames, moves=vector(moves), motion=_motion(comm, particles, frames))
 
 
 def _framed(
@@ -210,15 +210,15 @@ def _motion(comm: MPI.Comm, particles: Particles, frames: Frames) -> tuple[tuple
 
 def _has_changed(motion: Sequence[Sequence[float]], before: Sequence[Sequence[float]]) -> bool:
     """Whether motion that is left is more or less than it was, or of other parts."""
-    now, then = (np.maximum(np.array(of), LEAST) for of in (motion, before))
-    return now.shape != then.shape or not (np.abs(np.log(now / then)) <= math.log(CHANGE)).all()
+    now, previous = (np.maximum(np.array(of), LEAST) for of in (motion, before))
+    return now.shape != previous.shape or not (np.abs(np.log(now / previous)) <= math.log(CHANGE)).all()
 
 
 def _require_slow_in_laboratory(
-    comm: MPI.Comm, particles: Particles, choice: str, found: Frames, flows: Sequence[Flow]
+    comm: MPI.Comm, particles: Particles, choice: str, frames: Frames, flows: Sequence[Flow]
 ) -> None:
     """Raise InputError on all ranks if the laboratory is chosen for charge whose magnetic field counts."""
-    if choice == "lab" and (error := max(found.error - found.across, flows[0].beta @ flows[0].beta)) > SLOW:
+    if choice == "lab" and (error := max(frames.error - frames.across, flows[0].beta @ flows[0].beta)) > SLOW:
         speed = math.sqrt(left(comm, particles, LABORATORY).square.sum())
         raise InputError(
             f'motion.frame is "lab", but the particles move with {speed:.3g} c, where their magnetic field counts, by about '
@@ -260,11 +260,11 @@ def _require_along(
     All parts that move the same way are judged together.
     """
     for way in (1, -1):
-        fast = [n for n, one in enumerate(flows) if one.beta[axis] * way > 0 and one.beta[axis] ** 2 > SLOW]
+        fast = [n for n, flow in enumerate(flows) if flow.beta[axis] * way > 0 and flow.beta[axis] ** 2 > SLOW]
         if not fast:
             continue
         speed = max(abs(flows[n].beta[axis]) for n in fast)
-        sides = {kind for other in range(3) if other != axis for kind in domain.boundary[other]}
+        sides = {kind for side_axis in range(3) if side_axis != axis for kind in domain.boundary[side_axis]}
         if (walls := _walls(domain, axis)) and sides <= {"neumann", "periodic"}:
             raise InputError(
                 f"a face across the motion along {AXES[axis]} is {walls[0]} and all sides are {' or '.join(sorted(sides))}, "
@@ -273,7 +273,7 @@ def _require_along(
             )
         along = sum(flows[n].charge * abs(flows[n].beta[axis]) for n in fast)
         across = [np.delete(flows[n].charge * flows[n].beta, axis) for n in fast]
-        in_frames = sum(one / math.sqrt(flows[n].per_gamma_square) for n, one in zip(fast, across, strict=True))
+        in_frames = sum(flow / math.sqrt(flows[n].per_gamma_square) for n, flow in zip(fast, across, strict=True))
         off = float(np.linalg.norm(in_frames) / along)
         if off <= OFF_AXIS:
             continue
@@ -351,19 +351,19 @@ def _joined(edges: Sequence[float], charge: np.ndarray, first: np.ndarray, most:
     `charge` of each bin, and its sum times rapidity. In the frame of any bin c charge of a that is taken to move with b is off
     by Q_a γ_c |β_c| |β_a - β_b|; it is compared with all charge there, Σ Q cosh(y_c - y) / cosh(y).
     """
-    kept, total, moment = list(edges), charge.tolist(), first.tolist()
-    while kept:
+    borders, total, moment = list(edges), charge.tolist(), first.tolist()
+    while borders:
         q = np.array(total)
         y = np.divide(moment, q, out=np.zeros(len(q)), where=q > 0)
         per_charge = np.abs(np.sinh(y[q > 0])) / (np.cosh(y[q > 0, None] - y) @ (q / np.cosh(y)))
-        apart = np.sinh(np.abs(np.diff(y))) / (np.cosh(y[1:]) * np.cosh(y[:-1]))
-        costs = apart * np.minimum(q[1:], q[:-1]) * per_charge.max(initial=0.0)
+        distance = np.sinh(np.abs(np.diff(y))) / (np.cosh(y[1:]) * np.cosh(y[:-1]))
+        costs = distance * np.minimum(q[1:], q[:-1]) * per_charge.max(initial=0.0)
         n = int(np.argmin(costs))
         if not (costs[n] < FEW or len(q) > most):
             break
-        del kept[n]
+        del borders[n]
         total[n : n + 2], moment[n : n + 2] = [total[n] + total[n + 1]], [moment[n] + moment[n + 1]]
-    return tuple(kept)
+    return tuple(borders)
 
 
 def _drift(comm: MPI.Comm, particles: Particles, axis: int, edges: Sequence[float], signs: Sequence[Part]) -> bool:
@@ -372,9 +372,9 @@ def _drift(comm: MPI.Comm, particles: Particles, axis: int, edges: Sequence[floa
     if not present.all():
         return False
     flows = [flow(comm, part, axis) for part in _parts(particles, axis, edges, signs)]
-    apart = abs(math.tanh(math.asinh(flows[0].momentum(axis)) - math.asinh(flows[1].momentum(axis))))
+    relative_speed = abs(math.tanh(math.asinh(flows[0].momentum(axis)) - math.asinh(flows[1].momentum(axis))))
     few, many = sorted(one.charge for one in flows)
-    return apart**2 > STATIC and few * apart > FEW * (few + many)
+    return relative_speed**2 > STATIC and few * relative_speed > FEW * (few + many)
 
 
 def _range(comm: MPI.Comm, values: np.ndarray) -> np.ndarray:
@@ -406,25 +406,25 @@ def error_of(motion: Left, frame: Frame) -> np.ndarray:
     return np.array(parts)
 
 
-def _errors(comm: MPI.Comm, particles: Particles, found: Frames, flows: Sequence[Flow]) -> Frames:
+def _errors(comm: MPI.Comm, particles: Particles, frames: Frames, flows: Sequence[Flow]) -> Frames:
     """Return the frames with the errors that are left, where they are largest: in the frame of one of the parts. Collective."""
-    parts = found.parts(_some(comm, particles))
+    parts = frames.parts(_some(comm, particles))
     errors = np.array(
-        [error_of(left(comm, part, frame), frame) for part, frame in zip(parts, found.members, strict=True)]
+        [error_of(left(comm, part, frame), frame) for part, frame in zip(parts, frames.members, strict=True)]
     )
-    charge = np.array([one.charge for one in flows])
-    rapidity = np.array([math.asinh(one.momentum(found.axis)) for one in flows])
+    charge = np.array([flow.charge for flow in flows])
+    rapidity = np.array([math.asinh(flow.momentum(frames.axis)) for flow in flows])
     total = _seen(charge, rapidity) @ errors
     worst = total[int(np.argmax(total.sum(axis=1)))]
-    return replace(found, error=float(worst.sum()), across=float(worst[0]))
+    return replace(frames, error=float(worst.sum()), across=float(worst[0]))
 
 
 def _some(comm: MPI.Comm, particles: Particles) -> Particles:
     """Return as many particles as a mean over them needs, the same on any ranks. Collective."""
-    every = (
+    all_charge = (
         1 << max(particles.global_count(comm) // SAMPLE, 1).bit_length() - 1
     )  # masks take a third of what remainders do
-    return particles if every == 1 else particles.select(np.flatnonzero(particles.id & (every - 1) == 0))
+    return particles if all_charge == 1 else particles.select(np.flatnonzero(particles.id & (all_charge - 1) == 0))
 
 
 def _seen(charge: np.ndarray, rapidity: np.ndarray) -> np.ndarray:
@@ -434,12 +434,12 @@ def _seen(charge: np.ndarray, rapidity: np.ndarray) -> np.ndarray:
     return np.divide(amounts, total, out=np.zeros_like(amounts), where=total > 0)
 
 
-def _kept(found: Frames, last: Frames) -> Frames:
+def _kept(frames: Frames, last: Frames) -> Frames:
     """Return the frames, in place of each that has hardly changed the one of the step before."""
-    if len(found.members) != len(last.members):
-        return found
+    if len(frames.members) != len(last.members):
+        return frames
     members = tuple(
         old if new.axis == old.axis and abs(new.momentum - old.momentum) <= SAME * abs(new.momentum) else new
-        for new, old in zip(found.members, last.members, strict=True)
+        for new, old in zip(frames.members, last.members, strict=True)
     )
-    return replace(found, members=members)
+    return replace(frames, members=members)

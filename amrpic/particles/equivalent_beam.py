@@ -10,15 +10,15 @@ import scipy
 from ..units import SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
 
 
-def line_gradient(charge: float, size: float, other: float) -> float:
+def line_gradient(charge: float, size: float, across: float) -> float:
     """Return E_x / x, V/m², in a uniform elliptic cylinder of so much charge per length (C/m).
 
-    `size` and `other` are its rms sizes along x and y, m: half of its half axes.
+    `size` and `across` are its rms sizes along x and y, m: half of its half axes.
     """
-    return charge / (4 * math.pi * VACUUM_PERMITTIVITY * size * (size + other))
+    return charge / (4 * math.pi * VACUUM_PERMITTIVITY * size * (size + across))
 
 
-def ellipsoid_gradient(charge: float, size: float, other: float, along: float) -> float:
+def ellipsoid_gradient(charge: float, size: float, across: float, along: float) -> float:
     """Return E_x / x, V/m², in a uniform ellipsoid at rest, of a charge (C) and rms sizes along x, y and z, m.
 
     Its half axes are √5 times as long (O. D. Kellogg, Foundations of Potential Theory, 1929, chapter VII, with Carlson's R_D).
@@ -26,7 +26,7 @@ def ellipsoid_gradient(charge: float, size: float, other: float, along: float) -
     return (
         charge
         / (4 * math.pi * VACUUM_PERMITTIVITY * 5**1.5)
-        * float(scipy.special.elliprd(other**2, along**2, size**2))
+        * float(scipy.special.elliprd(across**2, along**2, size**2))
     )
 
 
@@ -38,5 +38,5 @@ def tune_depression(emittance: float, size: float, gradient: float, charge: floa
     k = ε/<x²>. nan without emittance and self-force.
     """
     cold = charge * gradient * gamma * size**4 / (mass * SPEED_OF_LIGHT**2)
-    both = emittance**2 + cold
-    return emittance / math.sqrt(both) if both > 0 else math.nan
+    total = emittance**2 + cold
+    return emittance / math.sqrt(total) if total > 0 else math.nan

@@ -48,16 +48,19 @@ class Groups:
                 species.append(table.kinds[member])
                 names.append(name if bunch.copies == 1 else f"{name}_{copy}")
         kinds = zip(table.names, table.kinds, strict=True)
-        found = [
+        groups = [
             ("all", frozenset(range(len(starts)))),
-            *((name, frozenset(r for r, one in enumerate(species) if one == kind)) for name, kind in kinds),
+            *(
+                (name, frozenset(r for r, species_of_run in enumerate(species) if species_of_run == kind))
+                for name, kind in kinds
+            ),
             *((name, frozenset([run])) for run, name in enumerate(names)),
         ]
         return cls(
             tuple(starts),
             tuple(species),
-            _distinct([_plain(name) for name, _ in found]),
-            tuple(members for _, members in found),
+            _distinct([_plain(name) for name, _ in groups]),
+            tuple(members for _, members in groups),
         )
 
     @classmethod
@@ -75,8 +78,8 @@ class Groups:
 
     def only(self, members: Sequence[frozenset[int]]) -> Groups:
         """Return the groups that have one of these members."""
-        found = [(name, own) for name, own in zip(self.names, self.members, strict=True) if own in members]
-        return Groups(self.starts, self.species, tuple(name for name, _ in found), tuple(own for _, own in found))
+        chosen = [(name, own) for name, own in zip(self.names, self.members, strict=True) if own in members]
+        return Groups(self.starts, self.species, tuple(name for name, _ in chosen), tuple(own for _, own in chosen))
 
     @property
     def distinct(self) -> list[frozenset[int]]:
@@ -92,7 +95,7 @@ def layers(sets: Sequence[frozenset[int]]) -> list[list[frozenset[int]]]:
     """Return the sets in as few lists as their order allows, no two sets of a list with a member in common."""
     out: list[list[frozenset[int]]] = []
     for members in sets:
-        free = next((layer for layer in out if all(members.isdisjoint(other) for other in layer)), None)
+        free = next((layer for layer in out if all(members.isdisjoint(members_there) for members_there in layer)), None)
         if free is None:
             out.append([members])
         else:

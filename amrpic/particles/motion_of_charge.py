@@ -138,14 +138,14 @@ def _seen_from(frame: Frame, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     moves, of_frame = abs(frame.momentum), frame.gamma
     slow = moves * np.sqrt(across)  # p/mc along of what goes with the frame
     fast = np.abs(along)
-    there = (across * of_frame**2 + along**2) / (of_frame * gamma + moves * fast)
-    rest = (fast - slow) * (fast + slow) / (of_frame * fast + moves * gamma)
+    in_frame = (across * of_frame**2 + along**2) / (of_frame * gamma + moves * fast)
+    relative = (fast - slow) * (fast + slow) / (of_frame * fast + moves * gamma)
     if not (ahead := along * frame.momentum > 0).all():
-        there = np.where(ahead, there, of_frame * gamma + moves * fast)
-        rest = np.where(ahead, rest, -(of_frame * fast + moves * gamma))
-    beta = u / there
-    beta[frame.axis] = math.copysign(1.0, frame.momentum) * rest / there
-    return beta, there / gamma
+        in_frame = np.where(ahead, in_frame, of_frame * gamma + moves * fast)
+        relative = np.where(ahead, relative, -(of_frame * fast + moves * gamma))
+    beta = u / in_frame
+    beta[frame.axis] = math.copysign(1.0, frame.momentum) * relative / in_frame
+    return beta, in_frame / gamma
 
 
 def squares(particles: Particles, frame: Frame) -> np.ndarray:

@@ -42,12 +42,12 @@ def profile(log_delta: float) -> tuple[np.ndarray, np.ndarray]:
     start = 1e-3 * min(1.0, 1 / math.sqrt(delta))
     first = (delta * start**2 / 4, delta * start / 2)  # ψ = δ s²/4 near the axis
     furthest = 2 * math.sqrt(END) + 2 * abs(log_delta) + 100
-    found = scipy.integrate.solve_ivp(
+    solution = scipy.integrate.solve_ivp(
         change, (start, furthest), first, "DOP853", rtol=1e-10, atol=0, dense_output=True, events=end
     )
-    s = np.linspace(start, found.t[-1], POINTS)
-    assert found.sol is not None
-    return np.append(0.0, s), np.append(0.0, found.sol(s)[0])
+    s = np.linspace(start, solution.t[-1], POINTS)
+    assert solution.sol is not None
+    return np.append(0.0, s), np.append(0.0, solution.sol(s)[0])
 
 
 def line_density(log_delta: float) -> float:
@@ -61,11 +61,11 @@ def squared_radius(depression: float) -> Callable[[np.ndarray], np.ndarray]:
     """Return r²/<x²> as a function of the share of the beam beyond r, in (0, 1), for a tune depression from 0 to 1."""
     if depression < COLDEST:
         return lambda beyond: 4 * (1 - beyond)
-    wanted = 4 * (1 / depression**2 - 1)
-    if wanted < ROUNDING:
+    target = 4 * (1 / depression**2 - 1)
+    if target < ROUNDING:
         return lambda beyond: -2 * np.log(beyond)  # without self-field the density is normal
     s, psi = profile(
-        scipy.optimize.brentq(lambda d: line_density(d) - wanted, SMALLEST, math.log(2 / wanted), xtol=1e-10)
+        scipy.optimize.brentq(lambda d: line_density(d) - target, SMALLEST, math.log(2 / target), xtol=1e-10)
     )
     density = np.exp(-psi) * s
     inwards = scipy.integrate.cumulative_simpson(density[::-1], x=-s[::-1])  # so that small ones are exact too

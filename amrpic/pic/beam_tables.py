@@ -108,11 +108,11 @@ class BeamTables:
         moments: dict[frozenset[int], Part] = {}
         quantiles: dict[frozenset[int], Quantiles] = {}
         slices: dict[frozenset[int], list[Slice]] = {}
-        for beam, some, found in moments_by_kind(comm, state.beam, groups, state.hierarchy.domain):
-            moments |= found
-            quantiles |= group_quantiles(comm, beam, some, found)
+        for beam, of_kinds, parts in moments_by_kind(comm, state.beam, groups, state.hierarchy.domain):
+            moments |= parts
+            quantiles |= group_quantiles(comm, beam, of_kinds, parts)
             if SLICES in self._series:
-                slices |= group_slices(comm, beam, some, found, self._slices)
+                slices |= group_slices(comm, beam, of_kinds, parts, self._slices)
         lost = group_losses(comm, state.lost.particles, groups)
         at: dict[str, float | str] = {"step": state.step, "time": state.time, "s": state.course.path}
         named = list(zip(groups.names, groups.members, strict=True))
@@ -130,9 +130,9 @@ class BeamTables:
         if SLICES in self._series:
             self._series[SLICES].add(
                 *(
-                    {**at, "group": name, "slice": number, **_row(slice_values(one))}
+                    {**at, "group": name, "slice": number, **_row(slice_values(of_slice))}
                     for name, members in named
-                    for number, one in enumerate(slices[members])
+                    for number, of_slice in enumerate(slices[members])
                 )
             )
 

@@ -39,10 +39,12 @@ class Reference:
         constants = self.charge, self.mass
         fields = external.native
         method = pusher_of(pusher)
-        there, half = _native.push_one(self.position, self.momentum, *constants, 0.0, dt / 2, dt, method, fields, time)
-        there, whole = _native.push_one(there, half, *constants, dt / 2, 0.0, 0.0, method, fields, time + dt)
-        path = self.path + math.dist(there, self.position)
-        return Reference(vector(there), vector(whole), *constants, path)
+        position, half = _native.push_one(
+            self.position, self.momentum, *constants, 0.0, dt / 2, dt, method, fields, time
+        )
+        position, whole = _native.push_one(position, half, *constants, dt / 2, 0.0, 0.0, method, fields, time + dt)
+        path = self.path + math.dist(position, self.position)
+        return Reference(vector(position), vector(whole), *constants, path)
 
 
 @dataclass(frozen=True)
@@ -92,18 +94,18 @@ class Course:
         """Return the course `dt` s later than `time` s, in fields of elements in the laboratory."""
         if self.reference is None:
             return self
-        now, then = self.reference, self.reference.after(dt, time, external, pusher)
+        now, later = self.reference, self.reference.after(dt, time, external, pusher)
         window = self.window
         if self.goes == "turning":
-            window = _turned(window, now, np.array(now.momentum), then)
+            window = _turned(window, now, np.array(now.momentum), later)
         elif self.goes in AXES:
             along = [axis == self.goes for axis in AXES]
             if self.stride > 0:
-                origin = self.stride * np.round(np.subtract(then.position, self.start) / self.stride)
+                origin = self.stride * np.round(np.subtract(later.position, self.start) / self.stride)
             else:
-                origin = window.origin + np.subtract(then.position, now.position)
+                origin = window.origin + np.subtract(later.position, now.position)
             window = window.at(np.where(along, origin, 0.0))
-        return replace(self, reference=then, window=window)
+        return replace(self, reference=later, window=window)
 
     def to_dict(self) -> dict[str, Any]:
         """Return what JSON can hold; numbers keep every bit."""
@@ -116,12 +118,12 @@ class Course:
         if reference is not None:
             vectors = {key: tuple(reference[key]) for key in ("position", "momentum")}
             reference = Reference(**{**reference, **vectors})
-        more = {key: values[key] for key in ("stride", "start") if key in values}
-        return cls(reference, window_of(values["window"]), values["goes"], **more)
+        optional = {key: values[key] for key in ("stride", "start") if key in values}
+        return cls(reference, window_of(values["window"]), values["goes"], **optional)
 
 
-def _turned(window: Window, now: Reference, direction: np.ndarray, then: Reference) -> Window:
+def _turned(window: Window, now: Reference, direction: np.ndarray, later: Reference) -> Window:
     """Return the window that goes with a particle and turns from a direction to its new one: it keeps its place on the mesh."""
     place = window.from_laboratory(np.subtract(now.position, window.origin))
-    turned = window.turned(direction, np.array(then.momentum))
-    return replace(turned.at(then.position - turned.to_laboratory(place)), pivot=vector(place))
+    turned = window.turned(direction, np.array(later.momentum))
+    return replace(turned.at(later.position - turned.to_laboratory(place)), pivot=vector(place))

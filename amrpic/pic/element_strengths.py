@@ -98,9 +98,9 @@ def _(element: CavityElement) -> Strength:
 
 @strength.register
 def _(element: MapElement) -> Strength:
-    given = field_maps.read(element.file, element.iteration)
+    field_map = field_maps.read(element.file, element.iteration)
     (electric, electric_gradient), (magnetic, magnetic_gradient) = (
-        _largest(values, given.spacing) for values in (given.electric, given.magnetic)
+        _largest(values, field_map.spacing) for values in (field_map.electric, field_map.magnetic)
     )
     scale = abs(element.scale)
     return Strength(
@@ -109,7 +109,7 @@ def _(element: MapElement) -> Strength:
         scale * electric_gradient,
         scale * magnetic_gradient,
         frequency=element.frequency,
-        node=min(given.spacing),
+        node=min(field_map.spacing),
     )
 
 

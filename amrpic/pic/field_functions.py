@@ -56,15 +56,15 @@ class FieldFunctions:
 
         def add(function: FieldFunction) -> None:
             x, y, z = places.T
-            given = function(x, y, z, time)
-            if not isinstance(given, tuple | list | np.ndarray) or len(given) != 2:
-                raise ValueError(f"it returns {_shapes(given)}; return two, E and B")
-            for name, field, components in zip("EB", fields, given, strict=True):
+            values = function(x, y, z, time)
+            if not isinstance(values, tuple | list | np.ndarray) or len(values) != 2:
+                raise ValueError(f"it returns {_shapes(values)}; return two, E and B")
+            for name, field, components in zip("EB", fields, values, strict=True):
                 field += window.from_laboratory(_columns(name, components, places))
 
         for number, (function, name) in enumerate(zip(self._functions, self.names, strict=True)):
-            what = f'fields[{number}], "{name}", failed at t = {time:g} s'
-            call_together(self._comm, lambda function=function: add(function), InputError, what)  # type: ignore[misc]
+            purpose = f'fields[{number}], "{name}", failed at t = {time:g} s'
+            call_together(self._comm, lambda function=function: add(function), InputError, purpose)  # type: ignore[misc]
         return fields[0], fields[1]
 
 
@@ -87,10 +87,10 @@ def _columns(name: str, components: Any, places: np.ndarray) -> np.ndarray:
     return out
 
 
-def _shapes(given: Any) -> str:
+def _shapes(values: Any) -> str:
     """Return what something is, in words."""
-    if isinstance(given, np.ndarray):
-        return f"an array of shape {given.shape}"
-    if isinstance(given, tuple | list):
-        return f"{len(given)} values of shapes {', '.join(str(np.shape(one)) for one in given) or 'none'}"
-    return with_article(type(given).__name__)
+    if isinstance(values, np.ndarray):
+        return f"an array of shape {values.shape}"
+    if isinstance(values, tuple | list):
+        return f"{len(values)} values of shapes {', '.join(str(np.shape(value)) for value in values) or 'none'}"
+    return with_article(type(values).__name__)

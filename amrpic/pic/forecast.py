@@ -56,9 +56,9 @@ class Trial:
         return self.step + (self.first + regrids * self.regrid + dumps * self.dump) / max(steps, 1)
 
 
-def _times(steps: int, every: int) -> int:
+def _times(steps: int, stride: int) -> int:
     """Return how often so many steps do what comes every so many of them; 0: never."""
-    return steps // every if every else 0
+    return steps // stride if stride else 0
 
 
 @dataclass(frozen=True)
@@ -70,11 +70,11 @@ class Forecast:
     source: str  # what it follows from
 
 
-def forecast(comm: MPI.Comm, scene: Scene, cells: int, made: float, seconds: float = 5.0) -> Forecast | None:
+def forecast(comm: MPI.Comm, scene: Scene, cells: int, making: float, seconds: float = 5.0) -> Forecast | None:
     """Return how long a run will take, from trials of about so many seconds; None if there is no time for any.
 
     The scene itself is tried if that is short enough, after coarser ones with fewer particles that show how long it will be;
-    else the time follows from the last two of these, linearly in the number of cells. `cells` are those of all levels. `made`
+    else the time follows from the last two of these, linearly in the number of cells. `cells` are those of all levels. `making`
     are the seconds that its particles took when this process first made them: a run loads modules and tabulates
     distributions then, which trials find done. The mesh is that of the start: its growth is not foreseen. Collective; raises
     what the run may raise, and OutputError.
@@ -82,35 +82,37 @@ def forecast(comm: MPI.Comm, scene: Scene, cells: int, made: float, seconds: flo
     comm, end = own(comm), time.perf_counter() + seconds
     tried: list[tuple[float, Trial]] = []  # with the cells of each
     for factor in COARSER if seconds > 0 else ():
-        given = _coarser(scene, factor)
-        if factor > 1 and given.domain.cells == _coarser(scene, factor // 2).domain.cells:
+        coarser = _coarser(scene, factor)
+        if factor > 1 and coarser.domain.cells == _coarser(scene, factor // 2).domain.cells:
             continue
         if tried and not _in_time(comm, _expected(tried, _between(tried[-1][0], cells, factor)), end):
             break
         try:
-            trial, held, steps = _tried(comm, given, end if factor == 1 else time.perf_counter() + seconds * SHARE)
+            trial, cells_tried, steps = _tried(
+                comm, coarser, end if factor == 1 else time.perf_counter() + seconds * SHARE
+            )
         except AmrpicError:
             if factor == 1:
                 raise
             continue  # boxes by their cells, for instance, do not fit a coarser mesh
         if factor == 1:
             return Forecast(
-                made + trial.start, trial.per_step(scene), f"{steps} steps of it" if steps else "its first solve"
+                making + trial.start, trial.per_step(scene), f"{steps} steps of it" if steps else "its first solve"
             )
-        tried.append((held, trial))
+        tried.append((cells_tried, trial))
     if not tried:
         return None
-    found, share = _extrapolated(tried[-2:], cells), f"{tried[-1][0] / cells:.2g} of its cells"
+    trial_of_whole, share = _extrapolated(tried[-2:], cells), f"{tried[-1][0] / cells:.2g} of its cells"
     source = f"runs on up to {share}" if len(tried) > 1 else f"one run on {share}, in proportion: rather too long"
-    return Forecast(made + found.start, found.per_step(scene), source)
+    return Forecast(making + trial_of_whole.start, trial_of_whole.per_step(scene), source)
 
 
 def _expected(tried: list[tuple[float, Trial]], cells: float) -> float:
     """Return about how long a trial of so many cells takes: after one alone, much of whose time is for no cell, by the root."""
     if len(tried) > 1:
         return _extrapolated(tried[-2:], cells).total
-    held, trial = tried[0]
-    return trial.total * math.sqrt(cells / held)
+    cells_tried, trial = tried[0]
+    return trial.total * math.sqrt(cells / cells_tried)
 
 
 def _between(tried: float, cells: float, factor: int) -> float:
@@ -147,14 +149,14 @@ def _tried(comm: MPI.Comm, scene: Scene, end: float) -> tuple[Trial, int, int]:
         output = Output(directory=str(folder), write=[kind for kind in scene.output.write if kind == "series"])
         simulation, beam, start = _started(comm, scene.model_copy(update={"output": output}), end)
         setup = simulation._setup
-        taken: list[tuple[bool, float]] = []  # whether a step regrids, and its s
+        steps_taken: list[tuple[bool, float]] = []  # whether a step regrids, and its s
         begun = time.perf_counter()
         with ParticleRecorder(simulation.state, setup, False, log="silent") as record:
             record.state(simulation.state)
             start += time.perf_counter() - begun
             while simulation.step < scene.schedule.last_step:
-                if len(taken) > 1 and not _in_time(comm, taken[-1][1], end):
-                    regrids = any(regrids for regrids, _ in taken)
+                if len(steps_taken) > 1 and not _in_time(comm, steps_taken[-1][1], end):
+                    regrids = any(regrids for regrids, _ in steps_taken)
                     if regrids or not scene.refinement.follows or setup.scene.refinement.regrid_every == 0:
                         break
                     # none came up to now: the next step makes one
@@ -166,20 +168,22 @@ def _tried(comm: MPI.Comm, scene: Scene, end: float) -> tuple[Trial, int, int]:
                 simulation.advance()
                 record.state(simulation.state)
                 regrids = setup.scene.refinement.regrids_at(simulation.step)
-                taken.append((regrids, time.perf_counter() - begun))
+                steps_taken.append((regrids, time.perf_counter() - begun))
         begun = time.perf_counter()
         simulation.checkpoint(folder / "checkpoint")
         dump = time.perf_counter() - begun
         cells = simulation.hierarchy.cells()
-    return Trial(beam, start, dump=dump, **_parts(taken)), cells, simulation.step
+    return Trial(beam, start, dump=dump, **_parts(steps_taken)), cells, simulation.step
 
 
-def _parts(taken: Sequence[tuple[bool, float]]) -> dict[str, float]:
+def _parts(steps_taken: Sequence[tuple[bool, float]]) -> dict[str, float]:
     """Return `step`, `regrid` and `first` of a trial from whether each of its steps regrids and how long it took, s."""
-    plain, regrids = ([seconds for one, seconds in taken[1:] if one is kind] for kind in (False, True))
-    step = _mean(plain or regrids or [seconds for _, seconds in taken] or [0.0])
+    plain, regrids = (
+        [seconds for regridded, seconds in steps_taken[1:] if regridded is kind] for kind in (False, True)
+    )
+    step = _mean(plain or regrids or [seconds for _, seconds in steps_taken] or [0.0])
     regrid = max(_mean(regrids) - step, 0.0) if regrids else 0.0
-    first = max(taken[0][1] - step - regrid * taken[0][0], 0.0) if taken else 0.0
+    first = max(steps_taken[0][1] - step - regrid * steps_taken[0][0], 0.0) if steps_taken else 0.0
     return {"step": step, "regrid": regrid, "first": first}
 
 
@@ -222,10 +226,10 @@ def _folder(comm: MPI.Comm, folder: Path) -> Iterator[Path]:
 
 def _extrapolated(tried: list[tuple[float, Trial]], cells: float) -> Trial:
     """Return what a run of so many cells takes, linearly in their number; in proportion to it if one smaller run is known."""
-    (held, last), (before, first) = tried[-1], tried[0]
+    (cells_of_last, last), (before, first) = tried[-1], tried[0]
     values = {}
     for part in fields(Trial):
-        one, other = getattr(first, part.name), getattr(last, part.name)
-        slope = (other - one) / (held - before) if held > before else other / held
-        values[part.name] = other + max(slope, 0.0) * (cells - held)
+        in_first, in_last = getattr(first, part.name), getattr(last, part.name)
+        slope = (in_last - in_first) / (cells_of_last - before) if cells_of_last > before else in_last / cells_of_last
+        values[part.name] = in_last + max(slope, 0.0) * (cells - cells_of_last)
     return Trial(**values)

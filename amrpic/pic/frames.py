@@ -65,6 +65,6 @@ def _frames(particles: Particles, last: Frames, lost: Particles | None, window: 
 
 def _share_left(particles: Particles, lost: Particles | None, setup: Setup) -> float:
     """Return the charge of particles over that of theirs and the lost ones together, without its sign. Collective."""
-    sums = [0.0 if some is None else charges(some).sum() for some in (particles, lost)]
-    left, gone = setup.comm.allreduce(np.array(sums))
-    return float(left / (left + gone)) if gone > 0 else 1.0
+    sums = [0.0 if group is None else charges(group).sum() for group in (particles, lost)]
+    left, lost_charge = setup.comm.allreduce(np.array(sums))
+    return float(left / (left + lost_charge)) if lost_charge > 0 else 1.0

@@ -47,10 +47,10 @@ def rms_force(solution: Solution, particles: Particles, clouds: Clouds) -> float
     electric, magnetic = felt(solution, particles, clouds)
     weight, sums = charges(particles), np.zeros(2)
     for first in range(0, len(particles), IN_CACHE):
-        some = slice(first, first + IN_CACHE)
-        u = particles.momentum[some] / (particles.mass[some] * SPEED_OF_LIGHT)[:, None]
+        chunk = slice(first, first + IN_CACHE)
+        u = particles.momentum[chunk] / (particles.mass[chunk] * SPEED_OF_LIGHT)[:, None]
         velocity = SPEED_OF_LIGHT * u / np.sqrt(1 + (u**2).sum(axis=1))[:, None]
-        force = electric[some] + np.cross(velocity, magnetic[some])
-        sums += weight[some] @ (force**2).sum(axis=1), weight[some].sum()
+        force = electric[chunk] + np.cross(velocity, magnetic[chunk])
+        sums += weight[chunk] @ (force**2).sum(axis=1), weight[chunk].sum()
     square, total = (global_sum(solution.rho.comm, value) for value in sums)
     return math.sqrt(square / total) if total > 0 else 0.0

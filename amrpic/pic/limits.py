@@ -58,23 +58,23 @@ def check_scene(scene: Scene, ranks: int, available: int | None = None) -> None:
 
 
 def require_room(
-    comm: MPI.Comm, scene: Scene, boxes: Sequence[Array], particles: int, where: str, held: Share | None = None
+    comm: MPI.Comm, scene: Scene, boxes: Sequence[Array], particles: int, where: str, own_share: Share | None = None
 ) -> None:
     """Raise SceneError on all ranks if a rank's machine cannot hold what its ranks will. Collective.
 
-    `boxes` are those of each level, `particles` those of all ranks; `held` is what this rank will have of them, an equal share
+    `boxes` are those of each level, `particles` those of all ranks; `own_share` is this rank's part of them, an equal share
     if nothing is known. The message names the rank that needs most where memory falls short.
     """
-    if held is None:
-        held = Share(comm.rank, math.ceil(_cells(boxes) / comm.size), math.ceil(particles / comm.size))
-    node, need = node_of(comm), rank_memory(scene, boxes, particles, comm.size, held)
+    if own_share is None:
+        own_share = Share(comm.rank, math.ceil(_cells(boxes) / comm.size), math.ceil(particles / comm.size))
+    node, need = node_of(comm), rank_memory(scene, boxes, particles, comm.size, own_share)
     free = available_memory() if node.rank == 0 else 0
     needs, room = (global_sum(node, value) for value in (need, free + resident()))
     problem = rank_cells_error(_cells(boxes), comm.size, where)
     if problem is None and needs > room and need == global_max(node, need):
         problem = (
-            f"{where}: rank {comm.rank} takes about {need / 2**30:.3g} GiB of memory for {held.cells} cells and "
-            f"{held.particles} particles; the {node.size} ranks of its machine take {needs / 2**30:.3g} GiB, of which "
+            f"{where}: rank {comm.rank} takes about {need / 2**30:.3g} GiB of memory for {own_share.cells} cells and "
+            f"{own_share.particles} particles; the {node.size} ranks of its machine take {needs / 2**30:.3g} GiB, of which "
             f"{room / 2**30:.3g} GiB are free; use more machines, or fewer cells or particles"
         )
     raise_together(comm, None if problem is None else f"{scene.name}: {problem}", SceneError)

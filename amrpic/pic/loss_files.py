@@ -45,13 +45,13 @@ def write_losses(comm: MPI.Comm, state: State, scene: Scene, about: Provenance) 
 
 def write_screens(comm: MPI.Comm, state: State, scene: Scene, about: Provenance) -> None:
     """Write what each screen of a scene has seen so far. Collective; OutputError on all ranks."""
-    seen = state.screens
+    recorded = state.screens
     for screen in scene.screens:
-        number = seen.names.index(screen.name) if screen.name in seen.names else -1
-        here = np.flatnonzero(seen.cause == number)
-        columns = {"time": seen.time[here], "direction": seen.direction[here]}
+        number = recorded.names.index(screen.name) if screen.name in recorded.names else -1
+        at_screen = np.flatnonzero(recorded.cause == number)
+        columns = {"time": recorded.time[at_screen], "direction": recorded.direction[at_screen]}
         path = screen_path(scene.directory, screen.name)
-        particles, writers = seen.particles.select(here), writers_of(scene)
+        particles, writers = recorded.particles.select(at_screen), writers_of(scene)
         openpmd_writer.write(comm, path, particles, state.step, state.time, about, columns=columns, writers=writers)
 
 

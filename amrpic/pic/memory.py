@@ -56,17 +56,17 @@ def run_memory(scene: Scene, boxes: Sequence[Array], particles: int, ranks: int)
     }
 
 
-def rank_memory(scene: Scene, boxes: Sequence[Array], particles: int, ranks: int, held: Share) -> float:
+def rank_memory(scene: Scene, boxes: Sequence[Array], particles: int, ranks: int, own_share: Share) -> float:
     """Return the bytes of `run_memory` that one rank takes which holds a share of cells and particles.
 
     Rank 0 draws, from what each rank rasters; writers hold what is on its way into files.
     """
     parts, cells = run_memory(scene, boxes, particles, ranks), _cells(boxes)
-    group = group_of(_groups(scene, cells, particles, ranks), held.rank)
-    of_files = _buffers(scene, particles, group) if held.rank == group.start else 0
-    of_pictures = RASTER + (DRAWING if held.rank == 0 else 0) if parts["pictures"] else 0
-    of_cells = (parts["solver"] + parts["fields"]) * held.cells / max(cells, 1)
-    of_particles = parts["particles"] * held.particles / max(particles, 1)
+    group = group_of(_groups(scene, cells, particles, ranks), own_share.rank)
+    of_files = _buffers(scene, particles, group) if own_share.rank == group.start else 0
+    of_pictures = RASTER + (DRAWING if own_share.rank == 0 else 0) if parts["pictures"] else 0
+    of_cells = (parts["solver"] + parts["fields"]) * own_share.cells / max(cells, 1)
+    of_particles = parts["particles"] * own_share.particles / max(particles, 1)
     return parts["processes"] / ranks + of_cells + of_particles + of_files + of_pictures
 
 

@@ -195,7 +195,7 @@ class ParticleRecorder(Recorder[State]):
 
 def _shown(state: State) -> dict[str, Field | VectorField]:
     """Return what dumps and pictures show of a state: B where the particles have a magnetic field of their own."""
-    shown: dict[str, Field | VectorField] = {"rho": state.rho, "phi": state.phi, "E": state.efield.with_components()}
+    fields: dict[str, Field | VectorField] = {"rho": state.rho, "phi": state.phi, "E": state.efield.with_components()}
     if state.solution.frames.only != LABORATORY:
-        shown["B"] = state.solution.bfield
-    return shown
+        fields["B"] = state.solution.bfield
+    return fields

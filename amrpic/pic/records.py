@@ -24,22 +24,22 @@ class Record:
     @staticmethod
     def empty(species: SpeciesTable, names: Sequence[str]) -> Record:
         """Nothing yet, of what has these names."""
-        none = np.zeros(0, dtype=np.int64)
-        return Record(Particles.empty(species), np.zeros(0), none, none, tuple(names))
+        no_numbers = np.zeros(0, dtype=np.int64)
+        return Record(Particles.empty(species), np.zeros(0), no_numbers, no_numbers, tuple(names))
 
     def __len__(self) -> int:
         return len(self.time)
 
-    def joined(self, more: Record) -> Record:
+    def joined(self, later: Record) -> Record:
         """Return these and others, whose names may differ."""
-        if len(more) == 0:
+        if len(later) == 0:
             return self
-        names = tuple(dict.fromkeys([*self.names, *more.names]))
-        number = np.array([names.index(name) for name in more.names])
+        names = tuple(dict.fromkeys([*self.names, *later.names]))
+        number = np.array([names.index(name) for name in later.names])
         return Record(
-            concatenate([self.particles, more.particles]),
-            np.concatenate([self.time, more.time]),
-            np.concatenate([self.direction, more.direction]),
-            np.concatenate([self.cause, number[more.cause]]),
+            concatenate([self.particles, later.particles]),
+            np.concatenate([self.time, later.time]),
+            np.concatenate([self.direction, later.direction]),
+            np.concatenate([self.cause, number[later.cause]]),
             names,
         )

@@ -113,14 +113,14 @@ def superposed(
         for total, component in zip(electric.components, field.components, strict=True):
             _add(total, 1.0, component)
         add_magnetic(magnetic, field, frame.beta)
-    report = max((one[3] for one in parts), key=lambda report: report.cycles)
-    return Solution(rho, phi, electric, report, frames, tuple(one[1] for one in parts), magnetic, walls=walls)
+    report = max((of_part[3] for of_part in parts), key=lambda report: report.cycles)
+    return Solution(rho, phi, electric, report, frames, tuple(of_part[1] for of_part in parts), magnetic, walls=walls)
 
 
-def added(one: VectorField, other: VectorField) -> VectorField:
+def added(first: VectorField, second: VectorField) -> VectorField:
     """Return the sum of two fields."""
-    both = (field.with_components().components for field in (one, other))
-    return VectorField(*(a + b for a, b in zip(*both, strict=True)))
+    pairs = (field.with_components().components for field in (first, second))
+    return VectorField(*(a + b for a, b in zip(*pairs, strict=True)))
 
 
 def zeros(hierarchy: Hierarchy, unit: str) -> VectorField:

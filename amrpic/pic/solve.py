@@ -58,8 +58,8 @@ def _in_one_frame(
         images = Solution(rho, *_solved(rho, guess, frame, frames, setup, image=True, last=report_before), reflected)
     with setup.clock("solve"):
         walls = setup.solvers.walls(hierarchy, frames, setup.clouds.covered)
-    kept = before if setup.scene.extrapolates_potential else None
-    return Solution(rho, phi, efield, report, frames, before=kept, walls=walls, images=images)
+    previous = before if setup.scene.extrapolates_potential else None
+    return Solution(rho, phi, efield, report, frames, before=previous, walls=walls, images=images)
 
 
 def _in_many_frames(beam: MeshedParticles, rho: Field, last: Solution | None, setup: Setup) -> Solution:
@@ -142,9 +142,9 @@ def _require_balance(rho: Field, deposited: float, setup: Setup) -> None:
     """Raise SolverError on all ranks if charge that is solved for apart from walls has no potential. Collective."""
     net = rho.integral() if setup.needs_balance else 0.0
     if abs(net) > BALANCED * deposited:
-        apart = " and no domain.slope, whose field is solved for apart from charge that moves,"
+        also = " and no domain.slope, whose field is solved for apart from charge that moves,"
         raise SolverError(
             f"all faces are periodic or Neumann, but the net charge is {net:.3g} C, which no potential"
-            f"{apart if setup.scene.domain.slope else ''} can balance; make it zero, ask for background = "
+            f"{also if setup.scene.domain.slope else ''} can balance; make it zero, ask for background = "
             '"neutralizing", or give one face a potential'
         )

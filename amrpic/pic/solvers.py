@@ -43,7 +43,7 @@ class Solvers:
         # the old operators go before the new ones come
         solver = None
         self._kept.pop((frame, part), None)
-        self._kept = {key: kept for key, kept in self._kept.items() if kept.hierarchy is hierarchy}
+        self._kept = {key: solver_kept for key, solver_kept in self._kept.items() if solver_kept.hierarchy is hierarchy}
         background = "neutralizing" if part else self._background
         self._kept[frame, part] = PoissonSolver(
             hierarchy, options=options, background=background, mirror=mirror, reuse=reuse
@@ -52,7 +52,7 @@ class Solvers:
 
     def keep(self, frames: Frames) -> None:
         """Free the solvers of other frames."""
-        self._kept = {key: kept for key, kept in self._kept.items() if key[0] in frames.members}
+        self._kept = {key: solver for key, solver in self._kept.items() if key[0] in frames.members}
 
     def solve(
         self,

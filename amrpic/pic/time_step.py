@@ -136,22 +136,22 @@ def processes(
 def _of_motion(setup: Setup, fast: Fastest) -> Iterator[Process]:
     widths = setup.scene.domain.value.spacing / 2**setup.scene.refinement.levels
     for axis, width, speed in zip(AXES, widths, fast.along, strict=True):
-        what = f"passage of a particle through a cell of the finest level along {axis}"
-        yield Process("cell", what, _time(width, speed), PER_CELL, LEAST_PER_CELL)
+        process = f"passage of a particle through a cell of the finest level along {axis}"
+        yield Process("cell", process, _time(width, speed), PER_CELL, LEAST_PER_CELL)
 
 
 def _of_charge(beam: MeshedParticles, solution: Solution | None, setup: Setup) -> Iterator[Process]:
     clouds, hierarchy = setup.clouds, beam.hierarchy
     particles, frames = beam.frames.straight(beam.particles), replace(beam.frames, turn=None)
     of_all, single = (law(particles, hierarchy, clouds, frames) for law in (plasma_frequency, oscillation))
-    what = "plasma period" if single < 1.1 * of_all else "oscillation of a particle in the charge of all"
+    process = "plasma period" if single < 1.1 * of_all else "oscillation of a particle in the charge of all"
     period = _time(2 * math.pi, max(of_all, single))
-    yield Process("plasma", what, period, PER_PLASMA_PERIOD, LEAST_PER_PLASMA_PERIOD)
+    yield Process("plasma", process, period, PER_PLASMA_PERIOD, LEAST_PER_PLASMA_PERIOD)
     if solution is not None:
         gain, across = own_changes(particles, solution, clouds)
-        for what, rate in (("gain of γ m c", gain), ("gain of m c across the motion", across)):
-            what += " in the particles' own field"
-            yield Process("own", what, _time(1.0, rate), PER_GAIN, LEAST_PER_GAIN)
+        for process, rate in (("gain of γ m c", gain), ("gain of m c across the motion", across)):
+            process += " in the particles' own field"
+            yield Process("own", process, _time(1.0, rate), PER_GAIN, LEAST_PER_GAIN)
 
 
 def _of_elements(setup: Setup, fast: Fastest) -> Iterator[Process]:
@@ -162,9 +162,9 @@ def _of_elements(setup: Setup, fast: Fastest) -> Iterator[Process]:
 
 
 def _processes_in(of: Strength, name: str, fast: Fastest) -> Iterator[Process]:
-    for what, omega in (("betatron", betatron(of, fast)), ("cyclotron", cyclotron(of, fast))):
+    for process, omega in (("betatron", betatron(of, fast)), ("cyclotron", cyclotron(of, fast))):
         period = _time(2 * math.pi, omega)
-        yield Process("element", f"{what} period in {name}", period, PER_PERIOD, LEAST_PER_PERIOD)
+        yield Process("element", f"{process} period in {name}", period, PER_PERIOD, LEAST_PER_PERIOD)
     yield Process("element", f"gain of γ m c in {name}", _time(1.0, acceleration(of, fast)), PER_PERIOD, LEAST_PER_GAIN)
     yield Process("rf", f"RF period of {name}", _time(1.0, of.frequency), PER_RF_PERIOD, LEAST_PER_PERIOD)
     least = LEAST_PER_LENGTH if of.smooth else 0.0
@@ -239,14 +239,14 @@ def own_changes(particles: Particles, solution: Solution, clouds: Clouds) -> tup
     electric, magnetic = felt(solution, particles, clouds)
     most = np.zeros(2)
     for first in range(0, len(particles), IN_CACHE):
-        some = slice(first, first + IN_CACHE)
-        mass, b = particles.mass[some], magnetic[some]
-        u = particles.momentum[some] / (mass * SPEED_OF_LIGHT)[:, None]
+        chunk = slice(first, first + IN_CACHE)
+        mass, b = particles.mass[chunk], magnetic[chunk]
+        u = particles.momentum[chunk] / (mass * SPEED_OF_LIGHT)[:, None]
         gamma = np.sqrt(1 + (u**2).sum(axis=1))
         beta = u / gamma[:, None]
-        force = np.linalg.norm(electric[some] / SPEED_OF_LIGHT + np.cross(beta, b), axis=1)
+        force = np.linalg.norm(electric[chunk] / SPEED_OF_LIGHT + np.cross(beta, b), axis=1)
         turn = np.hypot(np.linalg.norm(b, axis=1) / gamma, (beta * b).sum(axis=1))
-        per_mass = np.abs(particles.charge[some]) / (mass * gamma)
+        per_mass = np.abs(particles.charge[chunk]) / (mass * gamma)
         most = np.maximum(most, [(per_mass * force).max(), (per_mass * turn).max()])
     solution.rho.comm.Allreduce(MPI.IN_PLACE, most, MPI.MAX)
     gain, across = most.tolist()

@@ -66,8 +66,11 @@ class Comparison:
     def beyond(self, tolerance: float) -> dict[str, list[Difference]]:
         """Return the differences above a tolerance, the largest first, by part."""
         return {
-            part: sorted((one for one in found if not one.relative <= tolerance), key=lambda one: -one.relative)
-            for part, found in self.parts.items()
+            part: sorted(
+                (difference for difference in differences if not difference.relative <= tolerance),
+                key=lambda difference: -difference.relative,
+            )
+            for part, differences in self.parts.items()
         }
 
     def equal(self, tolerance: float) -> bool:
@@ -101,39 +104,41 @@ class _Missing(Exception):
     """One of the runs did not write what would be compared."""
 
 
-def _relative(one: Table, other: Table, scale: float | None = None) -> tuple[float, int]:
+def _relative(first: Table, second: Table, scale: float | None = None) -> tuple[float, int]:
     """Return the largest difference over the largest magnitude, or a larger scale, and its place; nan equals nan."""
-    if len(one) == 0:
+    if len(first) == 0:
         return 0.0, 0
     with np.errstate(invalid="ignore"):
-        apart = np.where((one == other) | (np.isnan(one) & np.isnan(other)), 0.0, np.abs(one - other))
-    apart = np.where(np.isnan(apart), np.inf, apart)
-    place = int(np.argmax(apart))
-    finite = np.abs(np.concatenate([one, other]))
+        distance = np.where((first == second) | (np.isnan(first) & np.isnan(second)), 0.0, np.abs(first - second))
+    distance = np.where(np.isnan(distance), np.inf, distance)
+    place = int(np.argmax(distance))
+    finite = np.abs(np.concatenate([first, second]))
     largest = max(float(finite[np.isfinite(finite)].max(initial=0.0)), scale or 0.0)
-    return (float(apart[place]) / largest if largest > 0 else float(apart[place])), place
+    return (float(distance[place]) / largest if largest > 0 else float(distance[place])), place
 
 
 def _charge(run: Results) -> float:
     """Return the largest charge of a group of particles, C, with which sums that cancel are compared; 0 if it is not known."""
     path = run.folder / "beam.csv"
-    found = np.abs(time_series.read(path)["charge"]) if path.exists() else np.zeros(0)
-    return float(found.max(initial=0.0))
+    charges = np.abs(time_series.read(path)["charge"]) if path.exists() else np.zeros(0)
+    return float(charges.max(initial=0.0))
 
 
-def _series(one: Table, other: Table, charge: float = 0.0) -> Iterator[Difference]:
+def _series(first: Table, second: Table, charge: float = 0.0) -> Iterator[Difference]:
     """Compare the columns that both have, at the steps that both have; a step of one alone is a difference.
 
     `charge`: of the largest group of particles, C.
     """
-    steps, here, there = np.intersect1d(one["step"], other["step"], return_indices=True)
-    alone = len(one) + len(other) - 2 * len(steps)
+    steps, rows_of_first, rows_of_second = np.intersect1d(first["step"], second["step"], return_indices=True)
+    alone = len(first) + len(second) - 2 * len(steps)
     yield Difference("steps", math.inf if alone else 0.0, f"{alone} of one run alone" if alone else "")
-    one, other = one[here], other[there]
-    names = [name for name in one.dtype.names or () if name in (other.dtype.names or ()) and not name.startswith(HOW)]
+    first, second = first[rows_of_first], second[rows_of_second]
+    names = [
+        name for name in first.dtype.names or () if name in (second.dtype.names or ()) and not name.startswith(HOW)
+    ]
     for name in names[1:]:
-        scale = charge if name == "charge" else _scale(name, one)
-        relative, place = _relative(one[name].astype(float), other[name].astype(float), scale)
+        scale = charge if name == "charge" else _scale(name, first)
+        relative, place = _relative(first[name].astype(float), second[name].astype(float), scale)
         yield Difference(name, relative, f"at step {steps[place]}" if relative > 0 else "")
 
 
@@ -141,20 +146,20 @@ def _scale(name: str, table: Table) -> float:
     """Return what means and total momenta, which may vanish, are compared with: sizes, and 2 E/c, below the sum of all |p|."""
     of, _, axis = name.rpartition("_")
     if of == "mean" and axis in AXES:
-        found = np.array([table[f"rms_{one}"] for one in AXES])
+        values = np.array([table[f"rms_{along}"] for along in AXES])
     elif of == "momentum":
-        found = np.array(
-            [*(np.abs(table[f"momentum_{one}"]) for one in AXES), 2 * table["kinetic_energy"] / SPEED_OF_LIGHT]
+        values = np.array(
+            [*(np.abs(table[f"momentum_{along}"]) for along in AXES), 2 * table["kinetic_energy"] / SPEED_OF_LIGHT]
         )
     else:
         return 0.0
-    return float(found[np.isfinite(found)].max(initial=0.0))
+    return float(values[np.isfinite(values)].max(initial=0.0))
 
 
-def _beam(one: Results, other: Results) -> Iterator[Difference]:
+def _beam(first: Results, second: Results) -> Iterator[Difference]:
     """Compare final moments of the groups of particles."""
     tables = []
-    for run in (one, other):
+    for run in (first, second):
         path = run.folder / "beam.csv"
         if not path.exists():
             raise _Missing
@@ -163,13 +168,13 @@ def _beam(one: Results, other: Results) -> Iterator[Difference]:
     if len(steps) == 0:
         raise _Missing
     rows = [{str(row["group"]): row for row in table[table["step"] == steps[-1]]} for table in tables]
-    charge = max(map(_charge, (one, other)))
+    charge = max(map(_charge, (first, second)))
     for group in dict.fromkeys([*rows[0], *rows[1]]):
-        if not all(group in held for held in rows):
+        if not all(group in of_run for of_run in rows):
             yield Difference(group, math.inf, "in one run alone")
             continue
         for name in FINAL:
-            a, b = (np.array([float(held[group][name])]) for held in rows)
+            a, b = (np.array([float(of_run[group][name])]) for of_run in rows)
             scale = charge if name == "charge" else 0.0
             yield Difference(f"{name} of {group}", _relative(a, b, scale)[0], f"at step {steps[-1]}")
 
@@ -181,35 +186,35 @@ def _latest_common(steps: Sequence[Iterable[int]]) -> int:
     return max(common)
 
 
-def _fields(one: Results, other: Results, remarks: list[str]) -> Iterator[Difference]:
+def _fields(first: Results, second: Results, remarks: list[str]) -> Iterator[Difference]:
     """Compare the fields of the latest step that both have: norms of the differences on the mesh of the first run.
 
     Those of the second are carried to it where meshes differ; where domains do, norms of both are compared.
     """
-    step = _latest_common([one.fields, other.fields])
-    mine, theirs = one.fields[step], other.fields[step]
-    names = [name for name in mine if name in theirs]
-    if mine.window != theirs.window:  # fields are compared place by place on the mesh
-        way = float(np.abs(mine.window.shift - theirs.window.shift).max())
-        yield Difference("place of the mesh over its size", way / _extent(mine), f"at step {step}")
-        mine, theirs = mine.at_rest, theirs.at_rest
-    domains = [fields.hierarchy.domain for fields in (mine, theirs)]
+    step = _latest_common([first.fields, second.fields])
+    of_first, of_second = first.fields[step], second.fields[step]
+    names = [name for name in of_first if name in of_second]
+    if of_first.window != of_second.window:  # fields are compared place by place on the mesh
+        way = float(np.abs(of_first.window.shift - of_second.window.shift).max())
+        yield Difference("place of the mesh over its size", way / _extent(of_first), f"at step {step}")
+        of_first, of_second = of_first.at_rest, of_second.at_rest
+    domains = [fields.hierarchy.domain for fields in (of_first, of_second)]
     if (domains[0].lower, domains[0].upper) != (domains[1].lower, domains[1].upper):
         yield Difference("domain", math.inf, f"the fields of step {step} live on two domains; their norms are compared")
         for name in names:
-            a, b = _scalar(mine[name]), _scalar(theirs[name])
+            a, b = _scalar(of_first[name]), _scalar(of_second[name])
             yield from _of_norms(name, step, {kind: abs(a.norm(kind) - b.norm(kind)) for kind in NORMS}, (a, b))
         return
-    moved: Mapping[str, Field | VectorField] = theirs.on(mine.hierarchy)
-    if not mine.hierarchy.same_cells(theirs.hierarchy):
-        moved = {name: theirs[name].remap(mine.hierarchy) for name in names}
+    moved: Mapping[str, Field | VectorField] = of_second.on(of_first.hierarchy)
+    if not of_first.hierarchy.same_cells(of_second.hierarchy):
+        moved = {name: of_second[name].remap(of_first.hierarchy) for name in names}
         remarks.append(
             f"the meshes of step {step} differ; fields of the second run are carried to the mesh of the first"
         )
     for name in names:
-        apart = _apart(mine[name], moved[name])
-        both = _scalar(mine[name]), _scalar(moved[name])
-        yield from _of_norms(name, step, {kind: apart.norm(kind) for kind in NORMS}, both)
+        difference = _apart(of_first[name], moved[name])
+        scalars = _scalar(of_first[name]), _scalar(moved[name])
+        yield from _of_norms(name, step, {kind: difference.norm(kind) for kind in NORMS}, scalars)
 
 
 def _extent(fields: DumpedFields) -> float:
@@ -221,16 +226,16 @@ def _extent(fields: DumpedFields) -> float:
 NORMS = ("l2", "max")
 
 
-def _of_norms(name: str, step: int, apart: Mapping[str, float], both: Sequence[Field]) -> Iterator[Difference]:
+def _of_norms(name: str, step: int, distances: Mapping[str, float], fields: Sequence[Field]) -> Iterator[Difference]:
     """Yield the differences of a field in some norms, over the larger norm of both fields."""
-    for kind, difference in apart.items():
-        scale = max(field.norm(kind) for field in both)
+    for kind, difference in distances.items():
+        scale = max(field.norm(kind) for field in fields)
         relative = difference / scale if scale > 0 else difference
         yield Difference(f"{name} in the {kind} norm", relative, f"at step {step}")
 
 
-def _apart(one: Field | VectorField, other: Field | VectorField) -> Field:
-    parts = [a - b for a, b in zip(one.parts, other.parts, strict=True)]
+def _apart(first: Field | VectorField, second: Field | VectorField) -> Field:
+    parts = [a - b for a, b in zip(first.parts, second.parts, strict=True)]
     return parts[0] if len(parts) == 1 else VectorField(*parts).magnitude()
 
 
@@ -238,65 +243,69 @@ def _scalar(field: Field | VectorField) -> Field:
     return field if isinstance(field, Field) else field.magnitude()
 
 
-def _particles(one: Results, other: Results) -> Iterator[Difference]:
+def _particles(first: Results, second: Results) -> Iterator[Difference]:
     """Compare the particles of the latest step that both have, by their numbers."""
-    if one.of_points or other.of_points:
+    if first.of_points or second.of_points:
         raise _Missing
-    dumps = [run._dumps(*PARTICLES) for run in (one, other)]
+    dumps = [run._dumps(*PARTICLES) for run in (first, second)]
     step = _latest_common(dumps)
-    dumped, others = (particle_reader.read(held[step]) for held in dumps)
-    mine, theirs = dumped.particles, others.particles
-    _, here, there = np.intersect1d(mine.id, theirs.id, return_indices=True)
-    alone = len(mine) + len(theirs) - 2 * len(here)
+    dumped, dumped_second = (particle_reader.read(paths[step]) for paths in dumps)
+    of_first, of_second = dumped.particles, dumped_second.particles
+    _, rows_of_first, rows_of_second = np.intersect1d(of_first.id, of_second.id, return_indices=True)
+    alone = len(of_first) + len(of_second) - 2 * len(rows_of_first)
     yield Difference(
         "particles", math.inf if alone else 0.0, f"{alone} of one run alone" if alone else f"at step {step}"
     )
-    mine, theirs = mine.select(here), theirs.select(there)
-    for what in ("position", "momentum"):
-        apart = getattr(mine, what) - getattr(theirs, what)
+    of_first, of_second = of_first.select(rows_of_first), of_second.select(rows_of_second)
+    for quantity in ("position", "momentum"):
+        distance = getattr(of_first, quantity) - getattr(of_second, quantity)
         if (
-            what == "position" and dumped.domain is not None
+            quantity == "position" and dumped.domain is not None
         ):  # rounding may have taken one of two through a periodic face
-            apart = np.stack([nearest(apart[:, d], dumped.domain.period(d)) for d in range(3)], axis=1)
-        spread = _spread(mine, what)
-        worst = float(np.abs(apart).max(initial=0.0))
-        yield Difference(f"{what} over its rms", worst / spread if spread > 0 else worst, f"at step {step}")
+            distance = np.stack([nearest(distance[:, d], dumped.domain.period(d)) for d in range(3)], axis=1)
+        spread = _spread(of_first, quantity)
+        worst = float(np.abs(distance).max(initial=0.0))
+        yield Difference(f"{quantity} over its rms", worst / spread if spread > 0 else worst, f"at step {step}")
 
 
-def _points(one: Results, other: Results) -> Iterator[Difference]:
+def _points(first: Results, second: Results) -> Iterator[Difference]:
     """Compare the material points of the latest step that both have, by their numbers."""
-    dumps = [run._dumps("points_*.vtkhdf") for run in (one, other)]
+    dumps = [run._dumps("points_*.vtkhdf") for run in (first, second)]
     step = _latest_common(dumps)
-    mine, theirs = (points_writer.read(paths[step]) for paths in dumps)
-    _, here, there = np.intersect1d(mine["id"], theirs["id"], return_indices=True)
-    alone = len(mine["id"]) + len(theirs["id"]) - 2 * len(here)
+    of_first, of_second = (points_writer.read(paths[step]) for paths in dumps)
+    _, rows_of_first, rows_of_second = np.intersect1d(of_first["id"], of_second["id"], return_indices=True)
+    alone = len(of_first["id"]) + len(of_second["id"]) - 2 * len(rows_of_first)
     yield Difference("points", math.inf if alone else 0.0, f"{alone} of one run alone" if alone else f"at step {step}")
-    for name in mine:
-        if name in theirs and name != "id":
-            a, b = (values[name][rows].astype(float).ravel() for values, rows in ((mine, here), (theirs, there)))
+    for name in of_first:
+        if name in of_second and name != "id":
+            a, b = (
+                values[name][rows].astype(float).ravel()
+                for values, rows in ((of_first, rows_of_first), (of_second, rows_of_second))
+            )
             yield Difference(f"{name} of points", _relative(a, b)[0], f"at step {step}")
 
 
-def _losses(one: Results, other: Results) -> Iterator[Difference]:
+def _losses(first: Results, second: Results) -> Iterator[Difference]:
     """Compare the lost particles, by their numbers: which they are, at what, when and where they were lost."""
-    paths = [run.folder / LOSSES for run in (one, other)]
+    paths = [run.folder / LOSSES for run in (first, second)]
     if not all(path.exists() for path in paths):
         raise _Missing
     tables = [_lost(path) for path in paths]
-    _, here, there = np.intersect1d(tables[0]["id"], tables[1]["id"], return_indices=True)
-    alone = len(tables[0]["id"]) + len(tables[1]["id"]) - 2 * len(here)
+    _, rows_of_first, rows_of_second = np.intersect1d(tables[0]["id"], tables[1]["id"], return_indices=True)
+    alone = len(tables[0]["id"]) + len(tables[1]["id"]) - 2 * len(rows_of_first)
     yield Difference("lost particles", math.inf if alone else 0.0, f"{alone} of one run alone" if alone else "")
-    mine, theirs = (
-        {name: values[rows] for name, values in t.items()} for t, rows in zip(tables, (here, there), strict=True)
+    of_first, of_second = (
+        {name: values[rows] for name, values in t.items()}
+        for t, rows in zip(tables, (rows_of_first, rows_of_second), strict=True)
     )
-    elsewhere = int(np.count_nonzero(mine["cause"] != theirs["cause"]))
+    elsewhere = int(np.count_nonzero(of_first["cause"] != of_second["cause"]))
     yield Difference(
         "causes of losses", math.inf if elsewhere else 0.0, f"{elsewhere} at something else" if elsewhere else ""
     )
-    for what in ("time", "position"):
-        spread = float(np.sqrt(np.mean(np.square(mine[what])))) if len(here) else 0.0
-        worst = float(np.abs(mine[what] - theirs[what]).max(initial=0.0))
-        yield Difference(f"{what} of losses over its rms", worst / spread if spread > 0 else worst)
+    for quantity in ("time", "position"):
+        spread = float(np.sqrt(np.mean(np.square(of_first[quantity])))) if len(rows_of_first) else 0.0
+        worst = float(np.abs(of_first[quantity] - of_second[quantity]).max(initial=0.0))
+        yield Difference(f"{quantity} of losses over its rms", worst / spread if spread > 0 else worst)
 
 
 def _lost(path: Path) -> dict[str, NDArray[Any]]:
@@ -310,18 +319,18 @@ def _lost(path: Path) -> dict[str, NDArray[Any]]:
     }
 
 
-def _spread(particles: Particles, what: str) -> float:
-    values = getattr(particles, what)
+def _spread(particles: Particles, quantity: str) -> float:
+    values = getattr(particles, quantity)
     return float(np.sqrt(np.mean(np.square(values)))) if len(values) else 0.0
 
 
-def _speed(one: Table, other: Table) -> Iterator[tuple[str, float, float]]:
+def _speed(first: Table, second: Table) -> Iterator[tuple[str, float, float]]:
     """Yield time of a step after the first, that of the stages, and memory."""
 
     def mean(table: Table, name: str) -> float:
         return float(table[name][1:].mean() if len(table) > 1 else table[name].mean())
 
-    for name in one.dtype.names or ():
-        if name.startswith("seconds") and name in (other.dtype.names or ()):
-            yield name, mean(one, name), mean(other, name)
-    yield "memory", float(one["memory"].max()), float(other["memory"].max())
+    for name in first.dtype.names or ():
+        if name.startswith("seconds") and name in (second.dtype.names or ()):
+            yield name, mean(first, name), mean(second, name)
+    yield "memory", float(first["memory"].max()), float(second["memory"].max())

@@ -30,8 +30,8 @@ class Panel:
 
     def there(self, table: Table) -> list[str]:
         """Return those of its columns that a table has, with a number besides zero in them."""
-        known = (name for name in self.columns if name in (table.dtype.names or ()))
-        return [name for name in known if np.any(np.isfinite(table[name]) & (table[name] != 0))]
+        present = (name for name in self.columns if name in (table.dtype.names or ()))
+        return [name for name in present if np.any(np.isfinite(table[name]) & (table[name] != 0))]
 
 
 BEAM = (
@@ -55,14 +55,14 @@ SOLVER = (
 
 def draw(table: Table, panels: Sequence[Panel], against: str = "step", unit: str = "") -> Figure:
     """Return a picture with a panel for each of some, of the columns that the table has."""
-    shown = [panel for panel in panels if panel.there(table)]
-    figure = Figure(figsize=(8, 0.6 + 1.9 * max(len(shown), 1)), layout="constrained")
-    axes = figure.subplots(max(len(shown), 1), 1, sharex=True, squeeze=False)[:, 0]
+    drawn_panels = [panel for panel in panels if panel.there(table)]
+    figure = Figure(figsize=(8, 0.6 + 1.9 * max(len(drawn_panels), 1)), layout="constrained")
+    axes = figure.subplots(max(len(drawn_panels), 1), 1, sharex=True, squeeze=False)[:, 0]
     along, label = table[against], against
     if unit:
         factor, prefix = prefix_of(float(np.abs(along).max(initial=0.0)))
         along, label = along / factor, f"{against} / {divisor(prefix, unit)}"
-    for panel, axis in zip(shown, axes, strict=False):
+    for panel, axis in zip(drawn_panels, axes, strict=False):
         names = panel.there(table)
         factor, prefix = (
             prefix_of(max(float(np.nanmax(np.abs(table[name]))) for name in names)) if panel.unit else (1, "")

@@ -77,10 +77,10 @@ class DumpedFields(Mapping[str, Field | VectorField]):
     @property
     def at_rest(self) -> DumpedFields:
         """The same fields in the coordinates of the mesh. Collective to make."""
-        here = self.hierarchy
-        boxes = [here.boxes(level) for level in range(1, here.levels)]
-        sizes = here.max_grid_size, here.blocking_factor
-        return replace(self.on(Hierarchy(here.comm, self.mesh, boxes, *sizes)), window=AT_REST)
+        hierarchy = self.hierarchy
+        boxes = [hierarchy.boxes(level) for level in range(1, hierarchy.levels)]
+        sizes = hierarchy.max_grid_size, hierarchy.blocking_factor
+        return replace(self.on(Hierarchy(hierarchy.comm, self.mesh, boxes, *sizes)), window=AT_REST)
 
     def on(self, hierarchy: Hierarchy) -> DumpedFields:
         """The same fields on another hierarchy; nan in cells that the dump does not have."""
@@ -143,7 +143,7 @@ def _region(dump: Dump, name: str, patch: Patch) -> np.ndarray:
         values = dump.values(name, patch.level, box)
         values = values.reshape(*values.shape[:3], -1)
         low, high = np.maximum(boxes[box, :3], first), np.minimum(boxes[box, 3:], last) + 1
-        there = tuple(map(slice, low - first, high - first))
-        here = tuple(map(slice, low - boxes[box, :3], high - boxes[box, :3]))
-        out[there] = values[here]
+        in_patch = tuple(map(slice, low - first, high - first))
+        in_box = tuple(map(slice, low - boxes[box, :3], high - boxes[box, :3]))
+        out[in_patch] = values[in_box]
     return out

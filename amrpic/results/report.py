@@ -141,8 +141,8 @@ def _pictures(folder: Path, particles: int) -> str:
         figures += [_image(figure, name) for name, figure in draw.figures(dump, overview_of(dump))]
     if not figures:
         newest = max((path.name[:15] for path in folder.glob("fields_*.png")), default="")
-        drawn = sorted(folder.glob(f"{newest}*.png")) if newest else []
-        figures = [_inlined(path.read_bytes(), path.stem) for path in drawn]
+        files = sorted(folder.glob(f"{newest}*.png")) if newest else []
+        figures = [_inlined(path.read_bytes(), path.stem) for path in files]
     if 0 < particles <= MOST_PARTICLES:
         with contextlib.suppress(InputError):
             dumped = particle_reader.read(folder)
@@ -234,9 +234,9 @@ def _wide(content: str) -> str:
     return f'<div class="wide">{content}</div>'
 
 
-def _image(figure: Figure, what: str) -> str:
-    return _inlined(png(figure, DPI), what)
+def _image(figure: Figure, name: str) -> str:
+    return _inlined(png(figure, DPI), name)
 
 
-def _inlined(content: bytes, what: str) -> str:
-    return f'<img alt="{escape(what)}" src="data:image/png;base64,{b64encode(content).decode()}">'
+def _inlined(content: bytes, name: str) -> str:
+    return f'<img alt="{escape(name)}" src="data:image/png;base64,{b64encode(content).decode()}">'

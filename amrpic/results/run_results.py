@@ -54,11 +54,11 @@ class Results:
 
         `comm` may be left out: all ranks. Raises InputError on all ranks if there is no such path.
         """
-        found = Path(path)
+        folder = Path(path)
         with together(comm, InputError):
-            if not found.exists():
-                raise InputError(f"{found} does not exist; give the folder of a run, or a dump or checkpoint in it")
-        return cls(own(comm), found)
+            if not folder.exists():
+                raise InputError(f"{folder} does not exist; give the folder of a run, or a dump or checkpoint in it")
+        return cls(own(comm), folder)
 
     @property
     def folder(self) -> Path:
@@ -83,21 +83,21 @@ class Results:
             return json.loads(dump.scene_text)
 
     def __repr__(self) -> str:
-        return f"Results({str(self.path)!r}: {'; '.join(f'{what}: {held}' for what, held in self._content())})"
+        return f"Results({str(self.path)!r}: {'; '.join(f'{attribute}: {content}' for attribute, content in self._content())})"
 
     def _repr_html_(self) -> str:
         return html.table(("what", "there is"), self._content(), f"Results of {self.path}")
 
     def _content(self) -> list[tuple[str, str]]:
         """What lies there, by the names of attributes that read it. Local."""
-        tables = sorted(one.stem for one in self.folder.glob("*.csv")) if self.folder == self.path else []
-        found = {
+        tables = sorted(file.stem for file in self.folder.glob("*.csv")) if self.folder == self.path else []
+        contents = {
             "tables": ", ".join(tables),
             "fields of steps": ", ".join(map(str, self.fields)),
             "particles of steps": ", ".join(map(str, sorted(self._dumps(*PARTICLES)))),
             "losses": LOSSES if self.folder == self.path and (self.folder / LOSSES).exists() else "",
         }
-        return [(what, held or "none") for what, held in found.items()]
+        return [(attribute, content or "none") for attribute, content in contents.items()]
 
     # ---- tables ----
 
@@ -149,26 +149,26 @@ class Results:
             return _losses(self.folder / LOSSES)
 
     def _particle_dump(self, step: int | None) -> Path:
-        found = self._dumps(*PARTICLES)
-        if step is None and found:
-            step = max(found)
-        if step not in found:
+        dumps = self._dumps(*PARTICLES)
+        if step is None and dumps:
+            step = max(dumps)
+        if step not in dumps:
             raise InputError(
-                f"{self.path} holds no particles{'' if step is None else f' of step {step}'}; {_choice(found)}"
+                f"{self.path} holds no particles{'' if step is None else f' of step {step}'}; {_choice(dumps)}"
             )
-        return found[step]
+        return dumps[step]
 
     def _dumps(self, *patterns: str) -> dict[int, Path]:
         """Dumps by step; those of the first pattern come first."""
         paths = [self.path] if self.folder != self.path else []
         for pattern in patterns if not paths else ():
             paths += sorted(self.folder.glob(pattern))
-        found: dict[int, Path] = {}
+        by_step: dict[int, Path] = {}
         for path in paths:
             step = re.fullmatch(r"[a-z]+_(\d{8,})(\.\w+)?", path.name)
             if step and path.suffix not in (TEMPORARY, REPLACED):
-                found.setdefault(int(step[1]), path)
-        return found
+                by_step.setdefault(int(step[1]), path)
+        return by_step
 
 
 class Dumps(Mapping[int, DumpedFields]):
@@ -208,7 +208,7 @@ def _frame(folder: Path, name: str) -> pandas.DataFrame:
     pandas = _pandas()
     path = folder / name
     if not path.exists():
-        tables = sorted(one.stem for one in folder.glob("*.csv"))
+        tables = sorted(file.stem for file in folder.glob("*.csv"))
         choice = f"choose among {', '.join(tables)}" if tables else "it has no tables"
         raise InputError(f"{folder} holds no {name}; {choice}")
     frame = pandas.DataFrame(time_series.read(path))
@@ -244,7 +244,7 @@ def _particle_group(dump: particle_reader.ParticleDump, species: str | None) -> 
 
 def _losses(path: Path) -> pandas.DataFrame:
     pandas = _pandas()
-    found = [
+    columns = [
         {
             "id": record.id,
             "species": np.full(len(record.id), record.species),
@@ -256,7 +256,7 @@ def _losses(path: Path) -> pandas.DataFrame:
         }
         for record in openpmd_reader.records(path)
     ]
-    return pandas.concat(map(pandas.DataFrame, found), ignore_index=True)
+    return pandas.concat(map(pandas.DataFrame, columns), ignore_index=True)
 
 
 def _pandas() -> ModuleType:

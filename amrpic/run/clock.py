@@ -70,5 +70,5 @@ class Clock:
 
     def take(self) -> dict[str, Spent]:
         """Return what each stage took since the last call."""
-        taken, self._stages = self._stages, {}
-        return taken
+        spent, self._stages = self._stages, {}
+        return spent

@@ -120,13 +120,13 @@ def step_line(row: Mapping[str, float], last_step: int, seconds_left: float) -> 
     )
 
 
-def line_of(row: Mapping[str, float], last_step: int, seconds_left: float, *found: str) -> str:
-    """Return the line of a step: its number, what was `found`, the pace and the memory."""
+def line_of(row: Mapping[str, float], last_step: int, seconds_left: float, *columns: str) -> str:
+    """Return the line of a step: its number, what was `columns`, the pace and the memory."""
     width = len(str(last_step))
     return "  ".join(
         [
             f"step {row['step']:{width}.0f}/{last_step}",
-            *found,
+            *columns,
             f"{row['seconds']:.3g} s/step",
             f"ETA {timedelta(seconds=round(seconds_left))}",
             f"{row['memory'] / 2**20:.0f} MiB",

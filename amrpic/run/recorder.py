@@ -173,8 +173,8 @@ class Recorder(ABC, Generic[StateT]):
                 if remark not in self._warned:
                     self._warned.add(remark)
                     self._log.warn(remark)
-            every = self._scene.output.checkpoint_every
-            checkpoint_due = bool(every) and state.step > 0 and state.step % every == 0
+            interval = self._scene.output.checkpoint_every
+            checkpoint_due = bool(interval) and state.step > 0 and state.step % interval == 0
             due = {
                 kind
                 for kind, (steps, _) in self._kinds.items()

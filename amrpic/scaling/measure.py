@@ -58,9 +58,9 @@ def measure(
 
     def step_over(of: Simulation) -> None:
         nonlocal since
-        taken, made, waiting = now() - since, between.meshes, between.waited()
+        duration, made, waiting = now() - since, between.meshes, between.waited()
         if of.step > UNCOUNTED:
-            seconds.append(comm.allreduce(taken, op=MPI.MAX))
+            seconds.append(comm.allreduce(duration, op=MPI.MAX))
             walls = of.report.seconds.get("open boundary", 0.0) * _pace(of, clock)
             stages.append(over_ranks(comm, {**_with_walls(_of_motion(of), walls), **waiting}))
             cycles.append(of.report.cycles)
@@ -189,16 +189,18 @@ def main() -> int:
     parser.add_argument("clock", choices=CLOCKS)
     parser.add_argument("apart", choices=("together", "apart"))
     parser.add_argument("overrides", nargs="*")
-    given = parser.parse_args()
+    options = parser.parse_args()
     world = MPI.COMM_WORLD
     meeting = Meeting(world)
-    folder = Path(given.output).with_suffix(".output")
+    folder = Path(options.output).with_suffix(".output")
     try:
         with together(world, InputError):
-            scene = Scene.from_toml(given.scene, [*given.overrides, f"output.directory={folder}"])
-        found = measure(world, scene, given.steps, given.kind, given.name, given.clock, given.apart == "apart")
+            scene = Scene.from_toml(options.scene, [*options.overrides, f"output.directory={folder}"])
+        measured = measure(
+            world, scene, options.steps, options.kind, options.name, options.clock, options.apart == "apart"
+        )
         if world.rank == 0:
-            found.write(Path(given.output))
+            measured.write(Path(options.output))
     except Exception as failure:
         return meeting.report(failure, sentence(failure))
     finally:

@@ -107,15 +107,15 @@ class Measured:
     def of(cls, runs: Sequence[Run]) -> Self:
         """Return the medians of runs of one kind and number of ranks."""
         first = runs[0]
-        all_ = [one for run in runs for one in zip(run.steps, run.cycles, run.meshes, run.cells, strict=True)]
-        changed = [one for one in all_ if one[2]]
-        steps = [one for one in all_ if not one[2]] or all_
+        all_ = [of_step for run in runs for of_step in zip(run.steps, run.cycles, run.meshes, run.cells, strict=True)]
+        changed = [of_step for of_step in all_ if of_step[2]]
+        steps = [of_step for of_step in all_ if not of_step[2]] or all_
         names = dict.fromkeys(name for step, *_ in all_ for name in step)
         stages = {name: _median(step.get(name, NOTHING) for step, *_ in steps) for name in names}
         if len(steps) < len(all_):
-            usual, others = dict(stages), names.keys() - {*OF_MESH, WAITING}
+            usual, other_stages = dict(stages), names.keys() - {*OF_MESH, WAITING}
             stages[NEW_MESH] = _more([(step, meshes) for step, _, meshes, _ in changed], usual, OF_MESH)
-            stages[NEW_SOLVER] = _more([(step, 1) for step, *_ in changed], usual, others)
+            stages[NEW_SOLVER] = _more([(step, 1) for step, *_ in changed], usual, other_stages)
         ends = [run.end for run in runs]
         stages[END] = Stage(min(ends), statistics.fmean(ends), statistics.median(ends))
         return cls(
@@ -148,8 +148,8 @@ def _more(steps: Sequence[tuple[dict[str, Stage], int]], usual: dict[str, Stage]
     def total(step: dict[str, Stage]) -> Any:
         return np.array([astuple(step.get(name, NOTHING)) for name in names], dtype=float).sum(axis=0)
 
-    each = [(total(step) - total(usual)) / times for step, times in steps]
-    return Stage(*np.maximum(np.median(each, axis=0), 0.0).tolist())
+    extra = [(total(step) - total(usual)) / times for step, times in steps]
+    return Stage(*np.maximum(np.median(extra, axis=0), 0.0).tolist())
 
 
 def _each(function: Callable[[Any], float], rows: Sequence[Sequence[float]]) -> tuple[Any, ...]:
@@ -164,14 +164,14 @@ def medians(runs: Iterable[Run]) -> list[Measured]:
     return [Measured.of(groups[key]) for key in sorted(groups)]
 
 
-def by_kind(found: Sequence[Measured]) -> dict[str, list[Measured]]:
+def by_kind(runs: Sequence[Measured]) -> dict[str, list[Measured]]:
     """Return the numbers of ranks of each kind, fewest first."""
-    kinds = dict.fromkeys(one.kind for one in found)
-    return {kind: sorted((o for o in found if o.kind == kind), key=lambda one: one.ranks) for kind in kinds}
+    kinds = dict.fromkeys(measured.kind for measured in runs)
+    return {kind: sorted((o for o in runs if o.kind == kind), key=lambda measured: measured.ranks) for kind in kinds}
 
 
-def efficiency(first: Measured, other: Measured, stage: str | None = None) -> float:
+def efficiency(first: Measured, second: Measured, stage: str | None = None) -> float:
     """Return the part of a rank's speed that is left of that with fewest ranks: cells and particles per second of a step, or of
     one of its stages (by its slowest rank); nan where a stage takes no time."""
-    before, after = (one.seconds if stage is None else one.stages[stage].most for one in (first, other))
-    return (other.work / after) / (first.work / before) if before > 0 and after > 0 else float("nan")
+    before, after = (run.seconds if stage is None else run.stages[stage].most for run in (first, second))
+    return (second.work / after) / (first.work / before) if before > 0 and after > 0 else float("nan")

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 MIB = 2**20
 
 
-def table(found: Sequence[Measured]) -> list[list[str]]:
+def table(runs: Sequence[Measured]) -> list[list[str]]:
     """Return a row per kind and number of ranks, under a head: each kind against its fewest ranks."""
     rows = [
         [
@@ -37,34 +37,34 @@ def table(found: Sequence[Measured]) -> list[list[str]]:
             "steps",
         ]
     ]
-    for kind, all_ in by_kind(found).items():
+    for kind, all_ in by_kind(runs).items():
         first = all_[0]
-        for one in all_:
-            solve = f"{efficiency(first, one, 'solve'):.0%}" if "solve" in one.stages else "-"
+        for run in all_:
+            solve = f"{efficiency(first, run, 'solve'):.0%}" if "solve" in run.stages else "-"
             rows.append(
                 [
                     kind,
-                    f"{one.ranks}",
-                    f"{one.cells}",
-                    f"{one.particles}",
-                    f"{one.cycles:g}",
-                    f"{1000.0 * one.seconds:.4g}",
-                    f"{first.seconds / one.seconds:.2f}",
-                    f"{efficiency(first, one):.0%}",
+                    f"{run.ranks}",
+                    f"{run.cells}",
+                    f"{run.particles}",
+                    f"{run.cycles:g}",
+                    f"{1000.0 * run.seconds:.4g}",
+                    f"{first.seconds / run.seconds:.2f}",
+                    f"{efficiency(first, run):.0%}",
                     solve,
-                    f"{one.cell_imbalance:.2f}",
-                    f"{one.particle_imbalance:.2f}",
-                    f"{one.memory[2] / MIB:.0f}",
-                    f"{one.steps}",
+                    f"{run.cell_imbalance:.2f}",
+                    f"{run.particle_imbalance:.2f}",
+                    f"{run.memory[2] / MIB:.0f}",
+                    f"{run.steps}",
                 ]
             )
     return rows
 
 
-def stage_table(one: Measured) -> list[list[str]]:
+def stage_table(run: Measured) -> list[list[str]]:
     """Return what each stage of a step takes and sends: a row per stage, under a head."""
     rows = [["stage of a step", "ms least", "mean", "most", "messages", "kB", "collectives"]]
-    for name, stage in one.stages.items():
+    for name, stage in run.stages.items():
         times = [f"{1e3 * seconds:.3g}" for seconds in (stage.least, stage.mean, stage.most)]
         label = "at the end of the run" if name == END else name
         rows.append([label, *times, f"{stage.messages:.0f}", f"{stage.bytes / 1e3:.0f}", f"{stage.collectives:.0f}"])
@@ -73,20 +73,20 @@ def stage_table(one: Measured) -> list[list[str]]:
 
 def as_markdown(rows: Sequence[Sequence[str]]) -> str:
     """Return a table whose first row is its head."""
-    head, *rest = rows
-    return "\n".join(["| " + " | ".join(row) + " |" for row in (head, ["---:"] * len(head), *rest)])
+    head, *body = rows
+    return "\n".join(["| " + " | ".join(row) + " |" for row in (head, ["---:"] * len(head), *body)])
 
 
-def page(found: Sequence[Measured], name: str) -> str:
+def page(measured: Sequence[Measured], name: str) -> str:
     """Return what was measured of a scene as Markdown."""
-    parts = [f"# Scaling: {name}", "![Time and efficiency over ranks](scaling.png)", as_markdown(table(found))]
-    for runs in by_kind(found).values():
-        for one in runs:
-            parts += [f"## {one.kind}, {one.ranks} ranks", as_markdown(stage_table(one))]
+    parts = [f"# Scaling: {name}", "![Time and efficiency over ranks](scaling.png)", as_markdown(table(measured))]
+    for runs in by_kind(measured).values():
+        for run in runs:
+            parts += [f"## {run.kind}, {run.ranks} ranks", as_markdown(stage_table(run))]
     return "\n\n".join(parts)
 
 
-def write(found: Sequence[Measured], text: str, folder: Path) -> list[Path]:
+def write(runs: Sequence[Measured], text: str, folder: Path) -> list[Path]:
     """Write scaling.md, which holds the text, scaling.json and scaling.png into a folder; return their paths.
 
     Raises OutputError.
@@ -95,32 +95,32 @@ def write(found: Sequence[Measured], text: str, folder: Path) -> list[Path]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         paths[0].write_text(text + "\n", encoding="utf-8")
-        paths[1].write_text(json.dumps([asdict(one) for one in found], indent=1), encoding="utf-8")
-        draw(found).savefig(paths[2], dpi=110)
+        paths[1].write_text(json.dumps([asdict(run) for run in runs], indent=1), encoding="utf-8")
+        draw(runs).savefig(paths[2], dpi=110)
     except OSError as reason:
         raise OutputError(f"cannot write into {folder}: {reason.strerror}; choose another --output") from None
     return paths
 
 
-def draw(found: Sequence[Measured]) -> Figure:
+def draw(runs: Sequence[Measured]) -> Figure:
     """Return the efficiency over ranks, and for each kind the time of a step by stage with the ideal line."""
     from matplotlib.figure import Figure
 
-    kinds = by_kind(found)
+    kinds = by_kind(runs)
     figure = Figure(figsize=(4.4 * (1 + len(kinds)), 3.8), layout="constrained")
     left, *panels = figure.subplots(1, 1 + len(kinds))
     for kind, all_ in kinds.items():
-        ranks = [one.ranks for one in all_]
-        left.plot(ranks, [efficiency(all_[0], one) for one in all_], "o-", label=kind)
+        ranks = [run.ranks for run in all_]
+        left.plot(ranks, [efficiency(all_[0], run) for run in all_], "o-", label=kind)
     left.axhline(1, color="black", linewidth=0.8, linestyle="--")
     left.set(xlabel="ranks", ylabel="efficiency of a step", ylim=(0, None))
-    over_ranks(left, sorted({one.ranks for one in found}))
+    over_ranks(left, sorted({run.ranks for run in runs}))
     left.legend(frameon=False)
     for panel, (kind, all_) in zip(panels, kinds.items(), strict=True):
-        times = {"step": [1e3 * one.seconds for one in all_]}
-        for name in dict.fromkeys(name for one in all_ for name in one.stages if name != END):
-            times[name] = [1e3 * one.stages[name].most if name in one.stages else 0.0 for one in all_]
-        draw_times(panel, [one.ranks for one in all_], times, [one.work for one in all_])
+        times = {"step": [1e3 * run.seconds for run in all_]}
+        for name in dict.fromkeys(name for run in all_ for name in run.stages if name != END):
+            times[name] = [1e3 * run.stages[name].most if name in run.stages else 0.0 for run in all_]
+        draw_times(panel, [run.ranks for run in all_], times, [run.work for run in all_])
         panel.set(title=kind, ylabel="ms per step, slowest rank")
     panels[-1].legend(fontsize=8, frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
     return figure
@@ -133,7 +133,7 @@ def draw_times(panel: Axes, ranks: Sequence[int], times: dict[str, list[float]],
         heavy = {"color": "black", "linewidth": 2.0} if number == 0 else {"linewidth": 1.2}
         panel.plot(ranks, [value or float("nan") for value in values], "o-", markersize=4, label=name, **heavy)
     first = next(iter(times.values()))[0]
-    panel.plot(ranks, [first * one / work[0] for one in work], "k--", linewidth=0.8, label="ideal")
+    panel.plot(ranks, [first * factor / work[0] for factor in work], "k--", linewidth=0.8, label="ideal")
     panel.set(
         yscale="log", ylim=(max(first * 1e-4, min(v for all_ in times.values() for v in all_ if v > 0) / 2), None)
     )

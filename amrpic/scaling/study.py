@@ -42,8 +42,8 @@ def grown(scene: Scene, factor: float) -> list[str]:
     counts = [
         0 if "file" in bunch else bunch.get("particles", 0) for bunch in bunches
     ]  # those of a file are what they are
-    more = [f"bunches.{number}.particles={round(count * factor)}" for number, count in enumerate(counts) if count]
-    return [f"domain.cells={list(cells)}", *more]
+    overrides = [f"bunches.{number}.particles={round(count * factor)}" for number, count in enumerate(counts) if count]
+    return [f"domain.cells={list(cells)}", *overrides]
 
 
 class Study:
@@ -98,15 +98,15 @@ class Study:
 
     def arguments(self, kind: str, ranks: int, output: Path | str) -> list[str]:
         """Return the module that measures a number of ranks, and its arguments."""
-        more = grown(self._scene, ranks / self.ranks[0]) if kind == "weak" else []
-        apart = "apart" if self.apart else "together"
-        given = [output, self.path, kind, self.name, self.steps, self.clock, apart, *self.overrides, *more]
-        return ["amrpic.scaling.measure", *map(str, given)]
+        overrides = grown(self._scene, ranks / self.ranks[0]) if kind == "weak" else []
+        clocks = "apart" if self.apart else "together"
+        arguments = [output, self.path, kind, self.name, self.steps, self.clock, clocks, *self.overrides, *overrides]
+        return ["amrpic.scaling.measure", *map(str, arguments)]
 
     def runs(self) -> list[Run]:
         """Return all runs of this scene in the folder, from earlier starts too. Raises InputError for files that are none."""
-        found = [Run.read(path) for path in sorted(self.folder.glob("*.json"))]
-        return [run for run in found if run.scene == self.name]
+        runs = [Run.read(path) for path in sorted(self.folder.glob("*.json"))]
+        return [run for run in runs if run.scene == self.name]
 
     def write_jobs(self, options: str, repeat: int = 1) -> list[Path]:
         """Write a script for sbatch for each kind and number of ranks, with `options` of sbatch; return their paths.
@@ -145,10 +145,10 @@ class Study:
         return self.folder / f"{kind}_{ranks}_{number:03}.json"
 
 
-def launch(launcher: str, ranks: int, module: Sequence[str], what: str) -> None:
+def launch(launcher: str, ranks: int, module: Sequence[str], purpose: str) -> None:
     """Run a module of Python with arguments on so many ranks; what it says on stdout is dropped.
 
-    Raises InputError if it cannot be started or fails, after what it said itself; `what` it was.
+    Raises InputError if it cannot be started or fails, after what it said itself; `purpose` it was.
     """
     command = [*shlex.split(launcher.format(ranks=ranks)), sys.executable, "-m", *module]
     # os.environ is what this process started with; MPI has added to its own that it is a rank of a run
@@ -160,4 +160,4 @@ def launch(launcher: str, ranks: int, module: Sequence[str], what: str) -> None:
     except OSError as reason:
         raise InputError(f"{command[0]} cannot be started ({reason.strerror}); choose another --launcher") from None
     if status != 0 or not Path(module[1]).exists():
-        raise InputError(f"{what} on {ranks} ranks ended with status {status}; correct what it says above")
+        raise InputError(f"{purpose} on {ranks} ranks ended with status {status}; correct what it says above")

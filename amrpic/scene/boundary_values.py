@@ -43,15 +43,17 @@ Potentials = Annotated[PerFace, BeforeValidator(lambda value: _spread(value, "po
 Slopes = Annotated[PerFace, BeforeValidator(lambda value: _spread(value, "field")), _SCHEMA]
 
 
-def wall_function(given: PerFace, lower: tuple[float, ...], upper: tuple[float, ...], key: str = "") -> Function | None:
+def wall_function(
+    per_face: PerFace, lower: tuple[float, ...], upper: tuple[float, ...], key: str = ""
+) -> Function | None:
     """Return the function of face centres x, y, z (m) that has the given value on each face; None if all are zero.
 
     It raises InputError, naming the `key` of the scene, where a formula has no finite value.
     """
-    if all(value == 0 for pair in given.values() for value in pair):
+    if all(value == 0 for pair in per_face.values() for value in pair):
         return None
     faces = []  # axis, coordinate of the face, value
-    for axis, pair in given.items():
+    for axis, pair in per_face.items():
         d = AXES.index(axis)
         for at, value in zip((lower[d], upper[d]), pair, strict=True):
             faces.append((d, at, formula(value) if isinstance(value, str) else float(value)))
@@ -61,8 +63,10 @@ def wall_function(given: PerFace, lower: tuple[float, ...], upper: tuple[float, 
         out = np.zeros(len(x))
         for d, at, value in faces:
             axis_name = f"{key}.{AXES[d]}"
-            here = place[d] == at  # centres of faces lie on them exactly, those of other faces half a cell off at least
-            out[here] = _at(value, axis_name, tuple(s[here] for s in place)) if callable(value) else value
+            on_face = (
+                place[d] == at
+            )  # centres of faces lie on them exactly, those of other faces half a cell off at least
+            out[on_face] = _at(value, axis_name, tuple(s[on_face] for s in place)) if callable(value) else value
         return out
 
     return at_faces
@@ -72,21 +76,21 @@ def _at(value: Function, key: str, place: tuple[np.ndarray, ...]) -> np.ndarray:
     """The value of a formula on faces."""
     try:
         with np.errstate(all="ignore"):
-            found = np.broadcast_to(value(*place), place[0].shape)
+            values = np.broadcast_to(value(*place), place[0].shape)
     except ArithmeticError as reason:
         raise InputError(f"{key}: its formula has no value ({reason}); correct it") from None
-    bad = np.flatnonzero(~np.isfinite(found))
+    bad = np.flatnonzero(~np.isfinite(values))
     if bad.size:
         at = ", ".join(f"{s[bad[0]]:.3g}" for s in place)
         raise InputError(
-            f"{key}: its formula is {found[bad[0]]} at ({at}) m, and not finite on {bad.size} cell faces in all; correct it"
+            f"{key}: its formula is {values[bad[0]]} at ({at}) m, and not finite on {bad.size} cell faces in all; correct it"
         )
-    return found
+    return values
 
 
-def require_kind(given: PerFace, boundary: Mapping[str, tuple[str, str]], kind: str, path: str) -> None:
+def require_kind(per_face: PerFace, boundary: Mapping[str, tuple[str, str]], kind: str, path: str) -> None:
     """Complain about a value that is given on a face of another kind."""
-    for axis, pair in given.items():
+    for axis, pair in per_face.items():
         for side, value in enumerate(pair):
             # one value for an axis goes to those of its faces that are of the kind
             if value != 0 and boundary[axis][side] != kind and (pair[0] != pair[1] or kind not in boundary[axis]):

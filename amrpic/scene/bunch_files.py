@@ -140,10 +140,10 @@ class ArrayBunch(MovedBunch, DescribedBunch):
         Raises InputError if they are nowhere to be found, or not finite.
         """
         if self.position is not None:
-            found = {"position": self.position, "momenta": self.momenta, "weight": self.weight}
+            arrays = {"position": self.position, "momenta": self.momenta, "weight": self.weight}
         elif self.file is not None:
-            found = _read_arrays(Path(self.file))
-            if self.self_field and found["weight"] is None and self.charge is None and self.particle_charge is None:
+            arrays = _read_arrays(Path(self.file))
+            if self.self_field and arrays["weight"] is None and self.charge is None and self.particle_charge is None:
                 raise InputError(f"{self.file} holds no weight and the scene names no charge; add one of the two")
         else:
             raise InputError(
@@ -151,17 +151,17 @@ class ArrayBunch(MovedBunch, DescribedBunch):
                 "pass the arrays again, or restart from a checkpoint"
             )
         where = self.file or "arrays given from Python"
-        for key, array in found.items():
+        for key, array in arrays.items():
             if array is not None and not np.isfinite(array).all():
                 bad = int((~np.isfinite(array).reshape(len(array), -1).all(axis=1)).sum())
                 raise InputError(
                     f"{key} of {bad} particles in {where} is NaN or infinite; remove or correct these rows"
                 )
-        weight = found["weight"]
+        weight = arrays["weight"]
         if weight is not None and not (weight >= 0).all():
             bad = int((weight < 0).sum())
             raise InputError(f"weight of {bad} particles in {where} is negative; remove or correct these rows")
-        return found
+        return arrays
 
     def __eq__(self, other: object) -> bool:
         # NumPy arrays do not compare to one truth value; the digest stands for them.
@@ -182,8 +182,8 @@ def _array(data: Mapping[str, Any], key: str, shape: tuple[int, ...]) -> np.ndar
     except (TypeError, ValueError):
         raise complaint("is not an array of numbers", "give a NumPy array of floats", path=key, found="") from None
     if array.ndim != len(shape) or array.shape[1:] != shape[1:]:
-        wanted = "(n, 3)" if len(shape) == 2 else "(n,)"
-        raise complaint(f"has the shape {array.shape}", f"give an array of shape {wanted}", path=key, found="")
+        expected = "(n, 3)" if len(shape) == 2 else "(n,)"
+        raise complaint(f"has the shape {array.shape}", f"give an array of shape {expected}", path=key, found="")
     return array
 
 

@@ -68,16 +68,16 @@ class DescribedBunch(RealParticle, Bunch):
                 "is given as well as charge", "keep one of the two", path="particle_charge", found=self.particle_charge
             )
         key = "charge" if self.particle_charge is None else "particle_charge"
-        given = getattr(self, key)
-        if given is not None and given * self.species.charge < 0:
+        value = getattr(self, key)
+        if value is not None and value * self.species.charge < 0:
             raise complaint(
                 f"has the other sign than the {self.species.charge:g} C of its species",
-                f"write {-given:g} or change the species",
+                f"write {-value:g} or change the species",
                 path=key,
-                found=given,
+                found=value,
             )
-        if given is not None and self.self_field and self.number > 0 and (given == 0 or self.species.charge == 0):
-            where = key if given == 0 else "species.charge"
+        if value is not None and self.self_field and self.number > 0 and (value == 0 or self.species.charge == 0):
+            where = key if value == 0 else "species.charge"
             raise complaint(
                 "makes every particle's charge zero", "give a charge, or particles = 0", path=where, found=0.0
             )

@@ -23,13 +23,13 @@ class RefusedScene(SceneError):
 def refusal(refused: ValidationError, source: str, model: type[BaseModel]) -> RefusedScene:
     """Return the error that says why a model refused what `source` gave it."""
     problems = sentences(refused, source, model)
-    more = f" (and {len(problems) - 1} more: see `amrpic check`)" if len(problems) > 1 else ""
-    return RefusedScene(problems[0] + more, problems)
+    hint = f" (and {len(problems) - 1} more: see `amrpic check`)" if len(problems) > 1 else ""
+    return RefusedScene(problems[0] + hint, problems)
 
 
-def close_match(word: str, known: Iterable[str]) -> str:
+def close_match(word: str, words: Iterable[str]) -> str:
     """Return the remedy for a word that is not among the known ones."""
-    choices = list(known)
+    choices = list(words)
     close = difflib.get_close_matches(word, choices, n=1, cutoff=0.6)
     return f'did you mean "{close[0]}"?' if close else f"use one of {', '.join(choices)}"
 
@@ -62,33 +62,33 @@ def _sentence(source: str, path: str, found: Any, what: str, remedy: str) -> str
 def _mistake(error: ErrorDetails, schema: dict[str, Any]) -> Mistake:
     context = error.get("ctx") or {}
     path = ".".join([*_keys(error["loc"], schema), context.get("path", "")]).strip(".")
-    found = context.get("found") if error["type"] == "amrpic" else None
-    found = error["input"] if found is None else found
+    value = context.get("found") if error["type"] == "amrpic" else None
+    value = error["input"] if value is None else value
     if error["type"] == "amrpic":
-        return Mistake(path, found, context["what"], context["remedy"])
-    what, remedy, found = _pydantic(error, path, found)
-    return Mistake(path, found, what, remedy)
+        return Mistake(path, value, context["what"], context["remedy"])
+    what, remedy, value = _pydantic(error, path, value)
+    return Mistake(path, value, what, remedy)
 
 
 def _keys(place: tuple[str | int, ...], schema: dict[str, Any]) -> Iterator[str]:
     """Yield the keys of a place as users wrote them: without the names of union members that pydantic puts in between."""
     node: dict[str, Any] = schema
     for part in place:
-        here = list(_resolved(node, schema))
-        members = [one["discriminator"]["mapping"].get(part) for one in here if "discriminator" in one]
+        nodes = list(_resolved(node, schema))
+        members = [schema_["discriminator"]["mapping"].get(part) for schema_ in nodes if "discriminator" in schema_]
         if any(members):
             node = {"$ref": next(filter(None, members))}
             continue
         yield str(part)
-        below = (one.get("items") if isinstance(part, int) else _member(one, part) for one in here)
+        below = (schema_.get("items") if isinstance(part, int) else _member(schema_, part) for schema_ in nodes)
         node = next(filter(None, below), {})
 
 
 def _member(node: dict[str, Any], key: str) -> dict[str, Any]:
     """The part of a schema for a key of a table; keys may be any names."""
-    others = node.get("additionalProperties")
-    found: dict[str, Any] = node.get("properties", {}).get(key) or (others if isinstance(others, dict) else {})
-    return found
+    additional = node.get("additionalProperties")
+    member: dict[str, Any] = node.get("properties", {}).get(key) or (additional if isinstance(additional, dict) else {})
+    return member
 
 
 def _resolved(node: dict[str, Any], schema: dict[str, Any]) -> Iterator[dict[str, Any]]:
@@ -100,7 +100,7 @@ def _resolved(node: dict[str, Any], schema: dict[str, Any]) -> Iterator[dict[str
         yield from _resolved(part, schema)
 
 
-def _pydantic(error: ErrorDetails, path: str, found: Any) -> tuple[str, str, Any]:
+def _pydantic(error: ErrorDetails, path: str, value: Any) -> tuple[str, str, Any]:
     """Return what is wrong, the remedy and the value to show for an error of pydantic's own."""
     kind, context = error["type"], error.get("ctx") or {}
     key = next((part for part in reversed(path.split(".")) if not part.isdigit()), path)  # rather than an index
@@ -115,12 +115,12 @@ def _pydantic(error: ErrorDetails, path: str, found: Any) -> tuple[str, str, Any
         return f"has an unknown {chooser}", close_match(str(context["tag"]), tags), context["tag"]
     if kind == "literal_error":
         choices = [choice.strip("' ") for choice in str(context["expected"]).replace(" or ", ",").split(",")]
-        return "is not one of the choices", close_match(str(found), choices), found
+        return "is not one of the choices", close_match(str(value), choices), value
     message = error["msg"][0].lower() + error["msg"][1:]
     for opening in ("input should be ", "value should be "):
         if message.startswith(opening):
-            return f"is not {message.removeprefix(opening)}", f"change {key}", found
-    return f"is refused: {message}", f"change {key}", found
+            return f"is not {message.removeprefix(opening)}", f"change {key}", value
+    return f"is refused: {message}", f"change {key}", value
 
 
 def _brief(value: Any) -> str:

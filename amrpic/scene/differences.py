@@ -9,16 +9,21 @@ from typing import Any
 from ..errors import InputError
 
 
-def differences(one: Any, other: Any, path: str = "") -> Iterator[tuple[str, Any, Any]]:
+def differences(first: Any, second: Any, path: str = "") -> Iterator[tuple[str, Any, Any]]:
     """Yield the settings of scenes as dictionaries that differ: where, the value of one, that of the other; None for none."""
-    if isinstance(one, dict) and isinstance(other, dict):
-        for key in {**other, **one}:
-            yield from differences(one.get(key), other.get(key), f"{path}.{key}".strip("."))
-    elif isinstance(one, list) and isinstance(other, list) and len(one) == len(other) and _of_sections(one + other):
-        for number, (mine, theirs) in enumerate(zip(one, other, strict=True)):
-            yield from differences(mine, theirs, f"{path}.{number}")
-    elif one != other:
-        yield path, one, other
+    if isinstance(first, dict) and isinstance(second, dict):
+        for key in {**second, **first}:
+            yield from differences(first.get(key), second.get(key), f"{path}.{key}".strip("."))
+    elif (
+        isinstance(first, list)
+        and isinstance(second, list)
+        and len(first) == len(second)
+        and _of_sections(first + second)
+    ):
+        for number, (of_first, of_second) in enumerate(zip(first, second, strict=True)):
+            yield from differences(of_first, of_second, f"{path}.{number}")
+    elif first != second:
+        yield path, first, second
 
 
 def _of_sections(members: list[Any]) -> bool:

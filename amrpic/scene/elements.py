@@ -100,9 +100,9 @@ class ConstantFocusingElement(PossiblyEverywhere):
     @model_validator(mode="after")
     def _one_strength(self) -> Self:
         if (self.gradient is None) == (self.wavenumber is None):
-            given = "is missing" if self.gradient is None else "is given as well as wavenumber"
+            state = "is missing" if self.gradient is None else "is given as well as wavenumber"
             remedy = "give gradient or wavenumber" if self.gradient is None else "keep one of the two"
-            raise complaint(given, remedy, path="gradient", found=self.gradient or "nothing")
+            raise complaint(state, remedy, path="gradient", found=self.gradient or "nothing")
         return self
 
     def gradient_for(self, species: Species, momentum: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -152,8 +152,8 @@ class FringedElement(Element):
     @property
     def coefficients(self) -> tuple[float, ...]:
         """The six coefficients of the fringe."""
-        given = tuple(self.enge or self.usual)
-        return given + (0.0,) * (6 - len(given))
+        enge = tuple(self.enge or self.usual)
+        return enge + (0.0,) * (6 - len(enge))
 
 
 class QuadrupoleElement(FringedElement):

@@ -59,10 +59,10 @@ def _check(node: ast.expr, text: str) -> None:
                     f"gives {name} {len(parts)} values", f"{name} takes {expected}; correct the formula", found=text
                 )
         case _:
-            known = ", ".join([*COORDINATES, *CONSTANTS, *FUNCTIONS])
+            names = ", ".join([*COORDINATES, *CONSTANTS, *FUNCTIONS])
             raise complaint(
                 f'holds "{ast.unparse(node)}", which no formula knows',
-                f"use numbers, + - * / ^ and {known}",
+                f"use numbers, + - * / ^ and {names}",
                 found=text,
             )
     for part in parts:

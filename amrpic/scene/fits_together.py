@@ -177,8 +177,8 @@ def _window(scene: SceneParts) -> None:
     axis = scene.axis_of_wall_left
     if axis is not None:
         _wall_behind(scene, AXES[axis], 1 if reference.mean_momentum[axis] > 0 else 0)
-    for kind, given in (("potential", scene.domain.potential), ("slope", scene.domain.slope)):
-        for name, pair in given.items():
+    for kind, per_face in (("potential", scene.domain.potential), ("slope", scene.domain.slope)):
+        for name, pair in per_face.items():
             if axis is not None and any(pair):
                 raise complaint(
                     "has an image in the wall that the window leaves behind, which is not known",
@@ -209,9 +209,9 @@ def _wall_behind(scene: SceneParts, axis: str, ahead: int) -> None:
 
 def _names(scene: SceneParts) -> None:
     screens = [screen.name for screen in scene.screens]
-    for key, names, taken in (("apertures", aperture_names(scene.apertures), FACES), ("screens", screens, ())):
-        for number, name in repeated_names(names, taken):
-            has_it = "a face of the domain" if name in taken else f"one of the {key} before it"
+    for key, names, reserved in (("apertures", aperture_names(scene.apertures), FACES), ("screens", screens, ())):
+        for number, name in repeated_names(names, reserved):
+            has_it = "a face of the domain" if name in reserved else f"one of the {key} before it"
             raise complaint(
                 f"is the name of {has_it} already",
                 "give each one of its own",

@@ -79,13 +79,13 @@ def aperture_names(apertures: Sequence[Aperture]) -> tuple[str, ...]:
     return tuple(aperture.name or f"aperture_{number}" for number, aperture in enumerate(apertures))
 
 
-def repeated_names(names: Iterable[str], taken: Iterable[str] = ()) -> Iterator[tuple[int, str]]:
-    """Yield number and name of those that have been `taken`, or are there before."""
-    known = set(taken)
+def repeated_names(names: Iterable[str], reserved: Iterable[str] = ()) -> Iterator[tuple[int, str]]:
+    """Yield number and name of those that have been `reserved`, or are there before."""
+    earlier = set(reserved)
     for number, name in enumerate(names):
-        if name in known:
+        if name in earlier:
             yield number, name
-        known.add(name)
+        earlier.add(name)
 
 
 def out_of_reach(apertures: Sequence[Aperture], screens: Sequence[Screen], lower: float, upper: float) -> list[str]:
@@ -95,7 +95,7 @@ def out_of_reach(apertures: Sequence[Aperture], screens: Sequence[Screen], lower
         half = math.inf if aperture.length is None else aperture.length / 2
         spans.append((f"apertures.{number}", aperture.centre[2] - half, aperture.centre[2] + half))
     return [
-        f"{what} lies outside the domain, which reaches from {lower:g} to {upper:g} m along z: no particle meets it"
-        for what, first, last in spans
+        f"{obstacle} lies outside the domain, which reaches from {lower:g} to {upper:g} m along z: no particle meets it"
+        for obstacle, first, last in spans
         if last < lower or first > upper
     ]

@@ -34,17 +34,17 @@ class RealParticle(Section):
 
     @model_validator(mode="after")
     def _one_momentum(self) -> Self:
-        given = [key for key in ("momentum", "velocity", "kinetic_energy") if getattr(self, key) is not None]
-        if len(given) > 1:
-            first, other = given[:2]
+        keys = [key for key in ("momentum", "velocity", "kinetic_energy") if getattr(self, key) is not None]
+        if len(keys) > 1:
+            first, second = keys[:2]
             raise complaint(
-                f"is given as well as {first}", "keep one of the two", path=other, found=getattr(self, other)
+                f"is given as well as {first}", "keep one of the two", path=second, found=getattr(self, second)
             )
         if self.direction is not None and (self.kinetic_energy is None or not any(self.direction)):
-            what = (
+            reason = (
                 "has no length" if self.kinetic_energy is not None else "is that of a kinetic_energy, which is missing"
             )
-            raise complaint(what, "leave it out, or complete it", path="direction", found=list(self.direction))
+            raise complaint(reason, "leave it out, or complete it", path="direction", found=list(self.direction))
         speed = math.hypot(*(self.velocity or (0.0,)))
         if speed >= SPEED_OF_LIGHT:
             raise complaint(
@@ -58,8 +58,8 @@ class RealParticle(Section):
             raise complaint(
                 f"is {over_mc:.3g} m c of its species, more than {LARGEST_MOMENTUM:g}",
                 'plain numbers are SI; give a unit, such as "100 MeV/c" or "100 MeV"',
-                path=given[0],
-                found=getattr(self, given[0]),
+                path=keys[0],
+                found=getattr(self, keys[0]),
             )
         return self
 

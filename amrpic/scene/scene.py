@@ -57,18 +57,20 @@ class Scene(SceneParts):
         cells = "x".join(map(str, self.domain.cells))
         count = sum(bunch.copies for bunch in self.bunches)
         bunches = f"{count} bunch" if count == 1 else f"{count} bunches"
-        more = " and those in files" if any(bunch.source for bunch in self.bunches) else ""
+        of_files = " and those in files" if any(bunch.source for bunch in self.bunches) else ""
         return (
             f"{self.name}: {cells} cells and {self.refinement.levels} refined levels, {bunches} of "
-            f"{self.particle_count()} particles in all{more}, {self.schedule.last_step} steps after the first solve"
+            f"{self.particle_count()} particles in all{of_files}, {self.schedule.last_step} steps after the first solve"
         )
 
     def _repr_html_(self) -> str:
         rows: list[tuple[str, str]] = []
         for key in sorted(self.model_fields_set - {"name"}, key=list(type(self).model_fields).index):
             value = getattr(self, key)
-            members = {f"{key}.{n}": one for n, one in enumerate(value)} if isinstance(value, list) else {key: value}
-            rows += [(where, _brief(one)) for where, one in members.items()]
+            members = (
+                {f"{key}.{n}": section for n, section in enumerate(value)} if isinstance(value, list) else {key: value}
+            )
+            rows += [(where, _brief(section)) for where, section in members.items()]
         return html.table(("key", "value, where it is not the default"), rows, f"Scene: {self.summary()}")
 
     def remarks(self) -> list[str]:
@@ -102,6 +104,6 @@ def _brief(value: Any) -> str:
     if not isinstance(value, Section):
         return str(value)
     kind = getattr(value, "kind", None) or getattr(value, "distribution", None)
-    given = value.model_dump(mode="json", exclude_defaults=True, exclude_none=True)
-    text = ", ".join(f"{key} = {json.dumps(one, ensure_ascii=False)}" for key, one in given.items())
+    settings = value.model_dump(mode="json", exclude_defaults=True, exclude_none=True)
+    text = ", ".join(f"{key} = {json.dumps(setting, ensure_ascii=False)}" for key, setting in settings.items())
     return f"{kind}: {text}" if kind else text

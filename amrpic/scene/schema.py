@@ -187,7 +187,7 @@ class _Reference:
             return " or ".join(f"`{toml.text(choice)}`" for choice in part["enum"])
         for union in ("anyOf", "oneOf"):
             if union in part:
-                return " or ".join(dict.fromkeys(self._value(one) for one in part[union]))
+                return " or ".join(dict.fromkeys(self._value(kind) for kind in part[union]))
         limits = [f"{sign} {part[keyword]}" for keyword, sign in LIMITS.values() if keyword in part]
         return ", ".join([self._type(part), *limits])
 
@@ -212,10 +212,10 @@ def _unions(part: Json) -> Iterator[tuple[list[str], str]]:
     if "$ref" in part:
         yield [part["$ref"]], ""
     elif "discriminator" in part:
-        yield [one["$ref"] for one in part["oneOf"]], part["discriminator"]["propertyName"]
+        yield [choice["$ref"] for choice in part["oneOf"]], part["discriminator"]["propertyName"]
     else:
-        for one in [*part.get("anyOf", []), *part.get("oneOf", []), *([part["items"]] if "items" in part else [])]:
-            yield from _unions(one)
+        for choice in [*part.get("anyOf", []), *part.get("oneOf", []), *([part["items"]] if "items" in part else [])]:
+            yield from _unions(choice)
 
 
 def _shared(members: Json, chooser: str) -> dict[tuple[str, ...], list[str]]:
@@ -223,7 +223,7 @@ def _shared(members: Json, chooser: str) -> dict[tuple[str, ...], list[str]]:
     groups: dict[tuple[str, ...], list[str]] = {}
     for name, member in members.items():
         for key, part in member["properties"].items():
-            same = tuple(other for other, it in members.items() if it["properties"].get(key) == part)
+            same = tuple(other for other, schema in members.items() if schema["properties"].get(key) == part)
             if len(same) > 1 and same[0] == name and key != chooser:
                 groups.setdefault(same, []).append(key)
     return groups

@@ -39,9 +39,9 @@ def _without_coercion(schema: Any) -> Any:
 class _Sentences(ModelMetaclass):
     """What Python gives a section is refused by the same sentences as what a file has."""
 
-    def __call__(cls, *given: Any, **named: Any) -> Any:
+    def __call__(cls, *arguments: Any, **named: Any) -> Any:
         try:
-            return super().__call__(*given, **named)
+            return super().__call__(*arguments, **named)
         except ValidationError as refused:
             raise refusal(refused, cls.__name__, cast(type[BaseModel], cls)) from None
 
@@ -69,8 +69,8 @@ class Section(BaseModel, metaclass=_Sentences):
 
     def replace(self, **changes: Any) -> Self:
         """Return the same with other values of some keys. Raises SceneError as when it is made."""
-        given = {name: getattr(self, name) for name in self.model_fields_set}
-        return type(self)(**{**given, **changes})
+        settings = {name: getattr(self, name) for name in self.model_fields_set}
+        return type(self)(**{**settings, **changes})
 
 
 def refuse_negative(path: str, value: float, unit: str) -> None:

@@ -49,10 +49,10 @@ def _both(sweeps: int | Sequence[int] | None) -> Sequence[int] | None:
     """Return the sweeps before and after: one number stands for both, none for the default."""
     if sweeps is None:
         return None
-    both = (sweeps, sweeps) if isinstance(sweeps, int) else sweeps
-    if not isinstance(both, Sequence) or len(both) != 2:
+    pair = (sweeps, sweeps) if isinstance(sweeps, int) else sweeps
+    if not isinstance(pair, Sequence) or len(pair) != 2:
         raise complaint("is neither one number nor two", "give one number, or two, before and after")
-    return both
+    return pair
 
 
 def _tolerance(value: Any) -> float | str:
@@ -178,12 +178,12 @@ class SolverOptions(Section):
             remedy = "use smoothed-aggregation, plain-aggregation or brick-aggregation"
             self._refuse("bottom_preconditioner", "is no multigrid, which is to stand alone", remedy)
         if self.tolerance == "discretization" and self.krylov != "none":
-            what = 'does not know how much error is left, as tolerance "discretization" must know'
-            self._refuse("krylov", what, 'use "none", or a number as tolerance')
+            reason = 'does not know how much error is left, as tolerance "discretization" must know'
+            self._refuse("krylov", reason, 'use "none", or a number as tolerance')
         for option in OF_COMPRESSED_ROWS if self.backend != "crs" else ():
             if getattr(self, option) != type(self).model_fields[option].default:
-                what = "is a choice of the backend of compressed rows alone"
-                self._refuse(option, what, 'leave it out, or set backend to "crs"')
+                reason = "is a choice of the backend of compressed rows alone"
+                self._refuse(option, reason, 'leave it out, or set backend to "crs"')
         if self.order == 4 and self.backend != "matrix-free":
             self._refuse(
                 "order", "is what the matrix-free backend has alone", 'set backend to "matrix-free", or order to 2'
@@ -194,8 +194,8 @@ class SolverOptions(Section):
                 raise complaint("is no stretch", remedy, path=f"stretch.{axis}", found=factor)
         return self
 
-    def _refuse(self, option: str, what: str, remedy: str) -> NoReturn:
-        raise complaint(what, remedy, path=option, found=getattr(self, option))
+    def _refuse(self, option: str, reason: str, remedy: str) -> NoReturn:
+        raise complaint(reason, remedy, path=option, found=getattr(self, option))
 
     @property
     def both_sweeps(self) -> tuple[int, int]:

@@ -56,9 +56,9 @@ class ThermalBunch(Train):
     def _matched(self) -> Self:
         self._check_direction()
         if (self.gradient is None) == (self.wavenumber is None):
-            given, remedy = ("is missing", "give gradient or wavenumber") if self.gradient is None else (
+            state, remedy = ("is missing", "give gradient or wavenumber") if self.gradient is None else (
                 "is given as well as wavenumber", "keep one of the two")  # fmt: skip
-            raise complaint(given, remedy, path="gradient", found=self.gradient or "nothing")
+            raise complaint(state, remedy, path="gradient", found=self.gradient or "nothing")
         if self.wavenumber is not None and not any(self.mean_momentum):
             raise complaint(
                 "needs a mean momentum, to which it refers",

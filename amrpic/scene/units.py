@@ -69,8 +69,8 @@ class Spread:
         return core_schema.no_info_before_validator_function(_spread, handler(source))
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        one = handler(schema)["prefixItems"][0]
-        return {"anyOf": [one, {"type": "array", "items": one, "minItems": 3, "maxItems": 3}]}
+        single = handler(schema)["prefixItems"][0]
+        return {"anyOf": [single, {"type": "array", "items": single, "minItems": 3, "maxItems": 3}]}
 
 
 def to_seconds(text: str) -> float:

@@ -137,14 +137,14 @@ class Part:
 
         That of a continuous beam where z repeats after `period` m, else (infinity) that of an ellipsoid.
         """
-        size, other, along = (float(self.rms[i]) for i in (axis, 1 - axis, 2))
+        size, across, along = (float(self.rms[i]) for i in (axis, 1 - axis, 2))
         if not size > 0 or math.isnan(self.mass):
             return UNKNOWN
         frame = self.frame_gamma
         if math.isfinite(period):
-            gradient = line_gradient(self.charge / period, size, other) / frame**2
+            gradient = line_gradient(self.charge / period, size, across) / frame**2
         else:
-            gradient = ellipsoid_gradient(self.charge, size, other, frame * along) / frame
+            gradient = ellipsoid_gradient(self.charge, size, across, frame * along) / frame
         return tune_depression(self.emittance(axis), size, gradient, self.charge / self.weight, self.mass, self.gamma)
 
 
@@ -171,17 +171,17 @@ def group_moments(
         return {
             members: _joined([(run, of_runs[run]) for run in sorted(members)], groups) for members in groups.distinct
         }
-    around = np.array(_native.circular_sums(comm.py2f(), *beam.arguments, parts, domain.lower, periods(domain)))
-    images = {members: Images.of(around[sorted(members)].sum(axis=0), domain) for members in groups.distinct}
+    circular = np.array(_native.circular_sums(comm.py2f(), *beam.arguments, parts, domain.lower, periods(domain)))
+    images = {members: Images.of(circular[sorted(members)].sum(axis=0), domain) for members in groups.distinct}
     out = {}
     for layer in layers(groups.distinct):
         pieces, piece_of_run = _pieces(layer, groups)
         zeros = [0.0] * len(pieces)
         of_pieces = [images[layer[place]] for place, _ in pieces]
         parts = _native.BeamParts(groups.starts, piece_of_run, zeros, zeros, 1, *_centres_and_periods(of_pieces))
-        found = _native.beam_moments(comm.py2f(), *beam.arguments, parts)
+        sums = _native.beam_moments(comm.py2f(), *beam.arguments, parts)
         for place, members in enumerate(layer):
-            own = [(run, found[index]) for index, (at, run) in enumerate(pieces) if at == place]
+            own = [(run, sums[index]) for index, (at, run) in enumerate(pieces) if at == place]
             out[members] = _in_domain(_joined(own, groups), images[members], domain)
     return {members: out[members] for members in groups.distinct}
 
@@ -197,13 +197,13 @@ def moments_by_kind(
     moments = group_moments(comm, beam, groups, domain)
     tests = [members for members, part in moments.items() if part.particles > 0 and not part.weight > 0]
     weighed = {members: part for members, part in moments.items() if members not in tests}
-    found = [(beam, groups.only(list(weighed)), weighed)] if weighed else []
+    groups_found = [(beam, groups.only(list(weighed)), weighed)] if weighed else []
     if tests:
         ones = beam.particles.with_weight(np.broadcast_to(1.0, len(beam.particles)))
         by_number, of_tests = replace(beam, particles=ones), groups.only(tests)
-        of_tests = replace(of_tests, species=tuple(replace(one, charge=0.0) for one in groups.species))
-        found.append((by_number, of_tests, group_moments(comm, by_number, of_tests, domain)))
-    return found
+        of_tests = replace(of_tests, species=tuple(replace(kind, charge=0.0) for kind in groups.species))
+        groups_found.append((by_number, of_tests, group_moments(comm, by_number, of_tests, domain)))
+    return groups_found
 
 
 def _pieces(layer: Sequence[frozenset[int]], groups: Groups) -> tuple[list[tuple[int, int]], list[int]]:
@@ -234,17 +234,22 @@ def _in_domain(part: Part, images: Images, domain: Domain) -> Part:
 def _joined(of_runs: Sequence[tuple[int, _native.BeamMoments]], groups: Groups) -> Part:
     """Return the moments of some runs together; a run stands for all of its species here."""
     sums = _native.joined_moments([moments for _, moments in of_runs])
-    held = [(groups.species[run], moments) for run, moments in of_runs if moments.weight > 0]
-    charge = sum(species.charge * moments.weight for species, moments in held)
-    flow = sum(species.charge * moments.weight * _velocity(moments.mean, species.mass) for species, moments in held)
-    kinds = {species for species, _ in held}
+    with_charge = [(groups.species[run], moments) for run, moments in of_runs if moments.weight > 0]
+    charge = sum(species.charge * moments.weight for species, moments in with_charge)
+    flow = sum(
+        species.charge * moments.weight * _velocity(moments.mean, species.mass) for species, moments in with_charge
+    )
+    kinds = {species for species, _ in with_charge}
     momentum = sum(
-        (species.mass * SPEED_OF_LIGHT * moments.weight * np.array(moments.mean[3:6]) for species, moments in held),
+        (
+            species.mass * SPEED_OF_LIGHT * moments.weight * np.array(moments.mean[3:6])
+            for species, moments in with_charge
+        ),
         start=np.zeros(3),
     )
     if not sums.weight > 0:
-        none, square, planes = np.full(7, UNKNOWN), np.full((7, 7), UNKNOWN), np.full((3, 5, 5), UNKNOWN)
-        return Part(int(sums.count), 0.0, 0.0, UNKNOWN, 0.0, momentum, none, square, planes, none, none)
+        unknown, square, planes = np.full(7, UNKNOWN), np.full((7, 7), UNKNOWN), np.full((3, 5, 5), UNKNOWN)
+        return Part(int(sums.count), 0.0, 0.0, UNKNOWN, 0.0, momentum, unknown, square, planes, unknown, unknown)
     return Part(
         int(sums.count),
         sums.weight,
@@ -292,8 +297,10 @@ def group_quantiles(
     order = [members for layer in distinct for members in layer]
     centres, forms, typical = zip(*(_frame(moments[members]) for members in order), strict=True)
     flat = _native.amplitude_quantiles(comm.py2f(), *beam.arguments, parts, centres, forms, typical, FRACTIONS)
-    found = np.array(flat).reshape(len(order), 5, len(FRACTIONS))
-    return {members: Quantiles(values[:3], values[3], values[4]) for members, values in zip(order, found, strict=True)}
+    quantiles = np.array(flat).reshape(len(order), 5, len(FRACTIONS))
+    return {
+        members: Quantiles(values[:3], values[3], values[4]) for members, values in zip(order, quantiles, strict=True)
+    }
 
 
 def _place_of_runs(layer: Sequence[frozenset[int]], runs: int) -> list[int]:
@@ -351,14 +358,14 @@ def group_slices(
         per_length = [slices / length if length > 0 else 0.0 for length in lengths]
         images = _centres_and_periods([moments[layer[place]].images for place, _ in pieces])
         parts = _native.BeamParts(groups.starts, piece_of_run, lower, per_length, slices, *images)
-        found = _native.beam_moments(comm.py2f(), *beam.arguments, parts)
+        sums = _native.beam_moments(comm.py2f(), *beam.arguments, parts)
         for place, members in enumerate(layer):
             own = [(index, run) for index, (at, run) in enumerate(pieces) if at == place]
             out[members] = [
                 Slice(
                     float(edges[place][s]),
                     float(edges[place][s + 1]),
-                    _joined([(run, found[index * slices + s]) for index, run in own], groups),
+                    _joined([(run, sums[index * slices + s]) for index, run in own], groups),
                 )
                 for s in range(slices)
             ]
@@ -387,8 +394,10 @@ def _edges(part: Part, slices: int) -> np.ndarray:
 def group_losses(comm: MPI.Comm, lost: Particles, groups: Groups) -> dict[frozenset[int], tuple[int, float]]:
     """Return how many macroparticles of each distinct group are lost, and their charge in C. Collective."""
     run, count = groups.run_of(lost.id), len(groups.starts)
-    mine = np.stack([np.bincount(run, minlength=count), np.bincount(run, lost.weight * lost.charge, minlength=count)])
-    total = comm.allreduce(mine)
+    own_sums = np.stack(
+        [np.bincount(run, minlength=count), np.bincount(run, lost.weight * lost.charge, minlength=count)]
+    )
+    total = comm.allreduce(own_sums)
     return {
         members: (int(total[0, list(members)].sum()), float(total[1, list(members)].sum()))
         for members in groups.distinct

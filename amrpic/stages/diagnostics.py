@@ -169,8 +169,8 @@ def moments(
         images, sums = _images_and_sums(comm, ones, to, weight, domain)
     totals = np.array(sums.momentum), sums.kinetic_energy
     if not sums.weight > 0:
-        nothing = np.full(3, np.nan)
-        return Moments(nothing, nothing, nothing, *totals, np.zeros(3))
+        unknown = np.full(3, np.nan)
+        return Moments(unknown, unknown, unknown, *totals, np.zeros(3))
     xx, uu, xu = (np.array(products) / sums.weight for products in (sums.xx, sums.uu, sums.xu))
     mean = np.array(sums.mean_x)
     mean += images.about(mean, domain).centre - images.centre
@@ -182,10 +182,10 @@ def _images_and_sums(
 ) -> tuple[Images, _native.BeamSums]:
     """Return which images of particles count, and the sums over these. Collective."""
     beam = (comm.py2f(), *particles.arrays, particles.mass, to.momentum, weight)
-    around = np.zeros(8)
+    circular = np.zeros(8)
     if domain is not None and any(domain.periodic):
-        (around,) = np.array(_native.circular_sums(*beam, ALL, domain.lower, periods(domain)))
-    images = Images.of(around, domain)
+        (circular,) = np.array(_native.circular_sums(*beam, ALL, domain.lower, periods(domain)))
+    images = Images.of(circular, domain)
     return images, _native.beam_sums(*beam, images.centre.tolist(), images.period.tolist())
 
 

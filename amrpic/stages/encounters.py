@@ -77,11 +77,11 @@ class Flights:
         solids = [
             (number, aperture) for number, aperture in enumerate(apertures) for aperture in self._images(aperture)
         ]
-        which, met = (
+        numbers, met = (
             np.array([number for number, _ in solids], dtype=np.int64),
             self._meet(lambda *ways: _native.first_encounters([aperture for _, aperture in solids], *ways)),
         )
-        met.what[:] = which[met.what]
+        met.what[:] = numbers[met.what]
         met = met.select(
             np.all(np.isfinite(met.place), axis=1)
         )  # others are bad input, about which `migrate` complains
@@ -101,9 +101,9 @@ class Flights:
         What starts outside leaves there.
         """
         out = self._leaving(flight)
-        rest = np.setdiff1d(flight, out.flight)  # which end outside by rounding alone: at the face that is next
-        next_face = np.argmax(self._beyond(self.end[rest]), axis=1)
-        return out.joined(self._at_faces(rest, next_face, np.ones(len(rest))))
+        outside = np.setdiff1d(flight, out.flight)  # which end outside by rounding alone: at the face that is next
+        next_face = np.argmax(self._beyond(self.end[outside]), axis=1)
+        return out.joined(self._at_faces(outside, next_face, np.ones(len(outside))))
 
     # ---- faces of the domain ----
 
@@ -186,14 +186,14 @@ class Flights:
             start = ways[0][flight] + ways[2]
             way = ways[1][flight] + ways[3] - start
             met = _encounters(flight, what, share, start + share[:, None] * way, way)
-            cut, until, rest = flights._rest()
+            cut, until, remaining = flights._rest()
             met = met.until(cut, until)
             begun = passed[met.flight]
             share = begun + met.share * (1 - begun)
             parts.append(Encounters(number[met.flight], met.what, share, met.place, met.direction))
             if len(cut) == 0:
                 return functools.reduce(Encounters.joined, parts)
-            number, passed, flights = number[cut], passed[cut] + until * (1 - passed[cut]), rest
+            number, passed, flights = number[cut], passed[cut] + until * (1 - passed[cut]), remaining
 
     def _rest(self) -> tuple[Array, Array, Flights]:
         """Return which flights go through a periodic face, after which share of their way, and the rest of them beyond it."""

@@ -39,8 +39,8 @@ def loss_map(
     number = np.where(z == upper, math.ceil((upper - lower) / width - 1e-9) - 1, np.floor((z - lower) / width))
     keys = np.stack([cause, number.astype(np.int64)], axis=1)
     values = np.stack([np.ones(len(lost)), lost.weight * lost.charge, lost.weight * lost.kinetic_energy], axis=1)
-    mine = _summed(keys, values)
-    parts = comm.allgather(mine)
+    own_sums = _summed(keys, values)
+    parts = comm.allgather(own_sums)
     keys, sums = _summed(*(np.concatenate([part[i] for part in parts]) for i in (0, 1)))
     return [
         {

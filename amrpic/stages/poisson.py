@@ -114,8 +114,8 @@ class PoissonSolver:
         chosen = self.options
         if refused := chosen.screening_refusal(hierarchy.domain):
             raise SolverError(f"screening is {chosen.screening:g}, which {refused[0]}; {refused[1]}")
-        if mirror is not None and (said := _mirror_refusal(mirror, hierarchy, chosen)):
-            raise SolverError(said)
+        if mirror is not None and (refusal := _mirror_refusal(mirror, hierarchy, chosen)):
+            raise SolverError(refusal)
         self.mirror = mirror
         of_bottom = chosen.bottom, chosen.bottom_preconditioner, chosen.stretch, chosen.screening
         across = None if mirror is None else mirror.axis
@@ -132,9 +132,9 @@ class PoissonSolver:
             native.across = mirror.axis
             native.mirror_places = [np.nan if plane is None else plane.place for plane in mirror.planes]
             native.mirror_signs = [1 if plane is None else SIGNS[plane.kind] for plane in mirror.planes]
-        kept = reuse.native if reuse is not None else _native.Reusable()
+        reusable = reuse.native if reuse is not None else _native.Reusable()
         try:
-            self.native = _native.PoissonSolver(hierarchy.native, native, kept)
+            self.native = _native.PoissonSolver(hierarchy.native, native, reusable)
         except _native.SolverError as refused:
             raise SolverError(str(refused)) from None
 

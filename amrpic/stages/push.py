@@ -87,10 +87,12 @@ def push(
 def _at_particles(field: np.ndarray | None, particles: Particles, kind: str) -> np.ndarray | None:
     if field is None:
         return None
-    found = columns(field, f"{kind} fields at particles")
-    if len(found) != len(particles):
-        raise ParticleError(f"{len(found)} {kind} fields are given for {len(particles)} particles; give one for each")
-    return found
+    components = columns(field, f"{kind} fields at particles")
+    if len(components) != len(particles):
+        raise ParticleError(
+            f"{len(components)} {kind} fields are given for {len(particles)} particles; give one for each"
+        )
+    return components
 
 
 def random_walk(particles: Particles, amplitude: float, seed: int, step: int) -> Particles:
@@ -100,8 +102,8 @@ def random_walk(particles: Particles, amplitude: float, seed: int, step: int) ->
     """
     position, buffer = empty_columns(len(particles)), np.empty(4 * min(IN_CACHE, len(particles)))
     for start in range(0, len(particles), IN_CACHE):
-        some = slice(start, start + IN_CACHE)
-        draws = buffer[: 4 * len(particles.id[some])].reshape(4, -1)  # in one piece, as native code writes to it
-        _native.uniforms(seed, RANDOM_WALK, step, particles.id[some], draws)
-        position[some] = particles.position[some] + amplitude * (2 * draws[:3].T - 1)
+        chunk = slice(start, start + IN_CACHE)
+        draws = buffer[: 4 * len(particles.id[chunk])].reshape(4, -1)  # in one piece, as native code writes to it
+        _native.uniforms(seed, RANDOM_WALK, step, particles.id[chunk], draws)
+        position[chunk] = particles.position[chunk] + amplitude * (2 * draws[:3].T - 1)
     return particles.replace(position=position)

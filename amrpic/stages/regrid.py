@@ -41,12 +41,12 @@ def regrid(
     tags: Sequence[np.ndarray],
     settings: Regridding,
     static: Sequence[np.ndarray] = (),
-    kept: Sequence[np.ndarray] = (),
+    staying: Sequence[np.ndarray] = (),
 ) -> Hierarchy:
     """Return the hierarchy that refines all tagged cells; `hierarchy` itself if its boxes are those. Collective.
 
     `tags[l]` is a bool per cell of this rank on level l, in the order of `Field.array(l)`; levels left out are not
-    tagged. Of what `kept`, tags as well, would refine, that stays which is refined already. `static[k]` lists index boxes
+    tagged. Of what `staying`, tags as well, would refine, that stays which is refined already. `static[k]` lists index boxes
     (n, 6) of level k + 1 that must exist in any case; they are aligned outward to the blocking factor, wrapped where
     periodic and clipped at walls. Tags add one level per call; static boxes come at once. The refined region depends
     neither on the number of ranks nor on `max_grid_size`.
@@ -54,8 +54,8 @@ def regrid(
     Raises HierarchyError on all ranks for tags that do not fit the cells and for static boxes that are empty or
     of a level above `max_levels`.
     """
-    for given in tags, kept:
-        raise_together(hierarchy.comm, _misfit(hierarchy, given), HierarchyError)
+    for boxes_given in tags, staying:
+        raise_together(hierarchy.comm, _misfit(hierarchy, boxes_given), HierarchyError)
     if len(static) >= settings.max_levels:
         raise HierarchyError(
             f"static boxes are given for level {len(static)}, but max_levels is {settings.max_levels}, the base "
@@ -65,24 +65,24 @@ def regrid(
     for level, boxes in enumerate(fixed, start=1):
         if len(empty := boxes[np.any(boxes[:, 3:] < boxes[:, :3], axis=1)]):
             raise HierarchyError(f"static box {empty[0].tolist()} of level {level} is empty; swap its corners")
-    marks = _marks(tags, kept)
+    marks = _marks(tags, staying)
     try:
         levels = _native.refine(
             hierarchy.native, marks, fixed, settings.max_levels, settings.buffer, settings.nesting, settings.efficiency
         )
     except _native.HierarchyError as refused:
         raise HierarchyError(str(refused)) from None
-    made = _like(hierarchy, levels)
-    return hierarchy if made.same_mesh(hierarchy) else made
+    hierarchy_made = _like(hierarchy, levels)
+    return hierarchy if hierarchy_made.same_mesh(hierarchy) else hierarchy_made
 
 
-def _marks(tags: Sequence[np.ndarray], kept: Sequence[np.ndarray]) -> list[np.ndarray]:
+def _marks(tags: Sequence[np.ndarray], staying: Sequence[np.ndarray]) -> list[np.ndarray]:
     """Return a byte per cell: bit 0 for tagged, bit 1 for kept cells."""
-    if not kept:
+    if not staying:
         return [np.ascontiguousarray(level, dtype=bool).view(np.uint8) for level in tags]
     return [
-        np.asarray(wanted, dtype=np.uint8) + 2 * np.asarray(stays, dtype=np.uint8)
-        for wanted, stays in zip(tags, kept, strict=True)
+        np.asarray(of_tags, dtype=np.uint8) + 2 * np.asarray(stays, dtype=np.uint8)
+        for of_tags, stays in zip(tags, staying, strict=True)
     ]
 
 

@@ -117,22 +117,22 @@ def by_function(
     function: Callable[..., Any],
     name: str,
     arguments: Sequence[str],
-    given: Mapping[str, Field | VectorField | float],
+    quantities: Mapping[str, Field | VectorField | float],
 ) -> Tags:
     """Return where a function says so, called for each box of this rank with the arguments it names. Collective.
 
-    `arguments` are names of `given`, level, x, y and z. Raises InputError on all ranks if the function fails on one.
+    `arguments` are names of `quantities`, level, x, y and z. Raises InputError on all ranks if the function fails on one.
     """
     tags = Field(hierarchy)
     with together(hierarchy.comm, InputError):
         for number, patch in enumerate(tags.patches):
-            known: dict[str, Any] = {"level": patch.level, **dict(zip("xyz", patch.centres(), strict=True))}
-            known |= {key: _on_patch(value, number) for key, value in given.items()}
+            at_cells: dict[str, Any] = {"level": patch.level, **dict(zip("xyz", patch.centres(), strict=True))}
+            at_cells |= {key: _on_patch(value, number) for key, value in quantities.items()}
             where = (
                 f"the function {name} of refinement.rule on level {patch.level}, cells {patch.lower} to {patch.upper},"
             )
             try:
-                answer = np.asarray(function(**{key: known[key] for key in arguments}))
+                answer = np.asarray(function(**{key: at_cells[key] for key in arguments}))
             except Exception as failure:
                 raise InputError(f"{where} raised {type(failure).__name__}: {failure}; correct it") from failure
             patch.data[...] = _as_tags(answer, patch.data.shape, where)
@@ -159,14 +159,14 @@ def _as_tags(answer: np.ndarray, shape: tuple[int, ...], where: str) -> np.ndarr
 
 
 # ---- together ----
-def either(first: Tags, *others: Tags) -> Tags:
+def either(first: Tags, *rest_of_tags: Tags) -> Tags:
     """Return the cells that any of the given tags asks for."""
-    return [np.logical_or.reduce(levels) for levels in zip(first, *others, strict=True)]
+    return [np.logical_or.reduce(levels) for levels in zip(first, *rest_of_tags, strict=True)]
 
 
-def both(first: Tags, *others: Tags) -> Tags:
+def both(first: Tags, *rest_of_tags: Tags) -> Tags:
     """Return the cells that all of the given tags ask for."""
-    return [np.logical_and.reduce(levels) for levels in zip(first, *others, strict=True)]
+    return [np.logical_and.reduce(levels) for levels in zip(first, *rest_of_tags, strict=True)]
 
 
 def on_levels(tags: Tags, levels: Sequence[int]) -> Tags:
@@ -242,13 +242,17 @@ def static_boxes(domain: Domain, regions: Sequence[Region]) -> list[np.ndarray]:
 
 
 def _index_box(domain: Domain, level: int, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    what = f"static region from {lower.tolist()} to {upper.tolist()} m"
+    region_text = f"static region from {lower.tolist()} to {upper.tolist()} m"
     if level < 1:
-        raise HierarchyError(f"{what} asks for level {level}; refined levels start at 1")
+        raise HierarchyError(f"{region_text} asks for level {level}; refined levels start at 1")
     if max(domain.cells) * 2**level > 2**30:
-        raise HierarchyError(f"{what} asks for level {level} with more than 2^30 cells along an axis; use fewer levels")
+        raise HierarchyError(
+            f"{region_text} asks for level {level} with more than 2^30 cells along an axis; use fewer levels"
+        )
     if not (lower.shape == upper.shape == (3,) and np.all(np.isfinite([lower, upper])) and np.all(lower < upper)):
-        raise HierarchyError(f"{what} has no volume; give three finite numbers each, upper ones above lower ones")
+        raise HierarchyError(
+            f"{region_text} has no volume; give three finite numbers each, upper ones above lower ones"
+        )
     spacing, cells = domain.spacing / 2**level, np.array(domain.cells) * 2**level
     # A face given on a cell face, as far as rounding can tell, touches no cell beyond it.
     slack = 1e-9
@@ -257,6 +261,6 @@ def _index_box(domain: Domain, level: int, lower: np.ndarray, upper: np.ndarray)
     wall = ~np.array(domain.periodic)
     if np.any(wall & ((last < 0) | (first >= cells))):
         limits = f"{list(domain.lower)} to {list(domain.upper)} m"
-        raise HierarchyError(f"{what} lies outside the domain, {limits}; move it inside")
+        raise HierarchyError(f"{region_text} lies outside the domain, {limits}; move it inside")
     first, last = np.where(wall, np.maximum(first, 0), first), np.where(wall, np.minimum(last, cells - 1), last)
     return np.concatenate([first, np.maximum(first, last)])

@@ -143,10 +143,10 @@ def _parts(scene: Scene, bunch: Bunch, number: int) -> Iterator[Density]:
                 yield from _train(bunch, number, place)
         case LatticeBunch():
             domain = scene.domain
-            made = Lattice(domain.lower, domain.upper, bunch.displacement, bunch.waves, bunch.bunch_charge)
-            if np.abs(made.wave_numbers() * np.array(bunch.displacement)).max() >= 1:
+            lattice = Lattice(domain.lower, domain.upper, bunch.displacement, bunch.waves, bunch.bunch_charge)
+            if np.abs(lattice.wave_numbers() * np.array(bunch.displacement)).max() >= 1:
                 raise InputError(f"bunches.{number}.displacement makes particles overtake each other; make it smaller")
-            yield made
+            yield lattice
         case _:
             raise _without_formula(bunch, number)
 

@@ -39,9 +39,9 @@ def _measured(fields: Sequence[Field], exact: Exact, offset: float) -> tuple[np.
     squares, largest = np.zeros((levels, 2)), np.zeros((levels, 2))
     for i, patch in enumerate(fields[0].patches):
         use, volume = ~patch.covered, np.prod(patch.hierarchy.spacing(patch.level))
-        there = [np.broadcast_to(e, patch.data.shape)[use] for e in _components(exact, patch.centres())]
-        wrong = sum((f.patches[i].data[use] - offset - t) ** 2 for f, t in zip(fields, there, strict=True))
-        right = sum(t**2 for t in there)
+        expected = [np.broadcast_to(e, patch.data.shape)[use] for e in _components(exact, patch.centres())]
+        wrong = sum((f.patches[i].data[use] - offset - t) ** 2 for f, t in zip(fields, expected, strict=True))
+        right = sum(t**2 for t in expected)
         squares[patch.level] += volume * np.array([np.sum(wrong), np.sum(right)])
         top = [np.max(wrong, initial=0.0), np.max(right, initial=0.0)]
         largest[patch.level] = np.maximum(largest[patch.level], top)

@@ -89,8 +89,8 @@ def tables(comm: MPI.Comm, scene: Scene, quick: bool = False) -> Iterator[Table]
     density, default = density_of(scene), default_of(scene)
     exact = exact_field(scene, density)
     tried = settings(scene, exact is not None, quick)
-    found = list(_measured(comm, scene, density, exact, tried, LARGEST[quick]))
-    (own,) = (m for m in found if m.setting == default)
+    measured = list(_measured(comm, scene, density, exact, tried, LARGEST[quick]))
+    (own,) = (m for m in measured if m.setting == default)
     unit = comm.allreduce(_native.measure_work_unit(max(own.cells // comm.size, 1)).seconds, op=MPI.MAX)
     against = "the exact field" if exact else f"the field on {FINER} times as many base cells per axis"
     yield Table(
@@ -104,12 +104,15 @@ def tables(comm: MPI.Comm, scene: Scene, quick: bool = False) -> Iterator[Table]
         f"at most {text(LEFT)}, the smaller of two ratios: their error over the smallest for as many visits, and their "
         "visits less one cycle over the fewest for an error up to a tenth larger.",
         COLUMNS,
-        [_row(m, unit, own, found) for m in sorted(found, key=lambda m: (m.setting.mesh, m.setting.warm, m.cycles))],
+        [
+            _row(m, unit, own, measured)
+            for m in sorted(measured, key=lambda m: (m.setting.mesh, m.setting.warm, m.cycles))
+        ],
         upwards="error of E against seconds",
-        picture=partial(draw, found, own, f"Speed against error: {scene.name}"),
+        picture=partial(draw, measured, own, f"Speed against error: {scene.name}"),
     )
     if default.order == 4:
-        yield _orders(found, scene.name, default)
+        yield _orders(measured, scene.name, default)
 
 
 def default_of(scene: Scene) -> Setting:
@@ -133,7 +136,7 @@ def settings(scene: Scene, exact: bool, quick: bool) -> list[Setting]:
     if any(isinstance(rule, StaticRule) for _, rule in every_rule(scene.refinement.rule, "")):
         factors, levels = (1,), range(default.levels, default.levels + 1)  # its boxes belong to its mesh
     orders: tuple[Literal[2, 4], ...] = (2, 4) if default.order == 4 else (2,)
-    made = [
+    settings_tried = [
         replace(
             default, cells=scaled_cells(default.cells, factor, block), levels=level, order=order, tolerance=tolerance
         )
@@ -143,34 +146,34 @@ def settings(scene: Scene, exact: bool, quick: bool) -> list[Setting]:
         for tolerance in tolerances
     ]
     boxes = [box for box in ((16,) if quick else (8, 16, 24, 32, 64)) if box % block == 0]
-    made += [replace(default, box=box) for box in boxes]
-    made += [replace(default, tolerance=tolerance, warm=not default.warm) for tolerance in tolerances]
-    return list(dict.fromkeys([*made, default]))
+    settings_tried += [replace(default, box=box) for box in boxes]
+    settings_tried += [replace(default, tolerance=tolerance, warm=not default.warm) for tolerance in tolerances]
+    return list(dict.fromkeys([*settings_tried, default]))
 
 
 # ---- the frontier ----
 
 
-def frontier(found: Sequence[Measured]) -> list[Measured]:
+def frontier(measured: Sequence[Measured]) -> list[Measured]:
     """Those that no other beats in both visits and error, cheapest first, among the ones that the solve does not spoil."""
     best: list[Measured] = []
-    for m in sorted((m for m in found if m.left <= LEFT), key=lambda m: (m.visits, m.error)):
+    for m in sorted((m for m in measured if m.left <= LEFT), key=lambda m: (m.visits, m.error)):
         if not best or m.error < LESS * best[-1].error:
             best.append(m)
     return best
 
 
-def loss(own: Measured, found: Sequence[Measured]) -> float:
+def loss(own: Measured, measured: Sequence[Measured]) -> float:
     """What a setting loses to the frontier: 1 on it."""
-    best = frontier([*found, own])
+    best = frontier([*measured, own])
     error = min(m.error for m in best if m.visits <= own.visits)
     visits = min(m.visits for m in best if m.error <= SPARED * own.error)
     return max(min(own.error / error, (own.visits - own.cells) / visits), 1.0)
 
 
-def _row(m: Measured, unit: float, own: Measured, found: Sequence[Measured]) -> list[Cell]:
+def _row(m: Measured, unit: float, own: Measured, measured: Sequence[Measured]) -> list[Cell]:
     s = m.setting
-    mark: Cell = "yes" if m in frontier(found) else ""
+    mark: Cell = "yes" if m in frontier(measured) else ""
     return [
         _by(s.cells),
         s.levels,
@@ -186,16 +189,16 @@ def _row(m: Measured, unit: float, own: Measured, found: Sequence[Measured]) -> 
         m.setup,
         m.error,
         m.left,
-        Goal(loss(m, found) if m.left <= LEFT else np.nan, SPARED) if m is own else mark,
+        Goal(loss(m, measured) if m.left <= LEFT else np.nan, SPARED) if m is own else mark,
     ]
 
 
-def draw(found: Sequence[Measured], own: Measured, title: str, path: Path) -> None:
+def draw(measured: Sequence[Measured], own: Measured, title: str, path: Path) -> None:
     """Error against seconds: a colour per mesh, a shape per tolerance; the frontier and the scene's own are marked."""
-    meshes = list(dict.fromkeys(m.setting.mesh[:2] for m in found))
-    tolerances = list(dict.fromkeys(str(m.setting.tolerance) for m in found))
+    meshes = list(dict.fromkeys(m.setting.mesh[:2] for m in measured))
+    tolerances = list(dict.fromkeys(str(m.setting.tolerance) for m in measured))
     with picture(path, title, "seconds of a solve and its field", "relative error of E, L2") as axes:
-        for m in found:
+        for m in measured:
             axes.plot(
                 m.seconds,
                 m.error,
@@ -204,7 +207,7 @@ def draw(found: Sequence[Measured], own: Measured, title: str, path: Path) -> No
                 fillstyle="full" if m.setting.warm else "none",
                 markersize=5 if m.setting.order == own.setting.order else 3,
             )
-        best = frontier(found)
+        best = frontier(measured)
         axes.plot(
             [m.seconds for m in best],
             [m.error for m in best],
@@ -251,19 +254,19 @@ class Law:
         return self.factor * np.asarray(seconds) ** self.power
 
 
-def _orders(found: Sequence[Measured], name: str, default: Setting) -> Table:
+def _orders(measured: Sequence[Measured], name: str, default: Setting) -> Table:
     """What was found of meshes that differ in their base cells alone, solved to the least tolerance."""
-    wanted = replace(default, tolerance=min(t for t in TOLERANCES if not isinstance(t, str)))
+    finest = replace(default, tolerance=min(t for t in TOLERANCES if not isinstance(t, str)))
     curves: dict[int, dict[str, tuple[float, float]]] = {}
     for order in (2, 4):
-        of_order = (m for m in found if m.setting == replace(wanted, cells=m.setting.cells, order=order))
+        of_order = (m for m in measured if m.setting == replace(finest, cells=m.setting.cells, order=order))
         curves[order] = {_by(m.setting.cells): (m.seconds, m.error) for m in of_order}
     return orders_against_seconds(
         f"Order 4 and order 2: {name}",
-        f"The density of `{name}`'s bunches with {default.levels} refined levels, solved to {wanted.tolerance:.0e}; seconds "
+        f"The density of `{name}`'s bunches with {default.levels} refined levels, solved to {finest.tolerance:.0e}; seconds "
         "and errors as above.",
         curves,
-        sum(max(m.setting.cells) < ASKED_FROM for m in found if m.setting == replace(wanted, cells=m.setting.cells)),
+        sum(max(m.setting.cells) < ASKED_FROM for m in measured if m.setting == replace(finest, cells=m.setting.cells)),
     )
 
 
@@ -362,13 +365,13 @@ def _measured(
     most = largest * _case(comm, scene, default_of(scene), density).cells
     exact = exact or _reference(scene, density)
     for mesh, order in dict.fromkeys((setting.mesh, setting.order) for setting in tried):
-        here = [setting for setting in tried if (setting.mesh, setting.order) == (mesh, order)]
+        settings_here = [setting for setting in tried if (setting.mesh, setting.order) == (mesh, order)]
         if np.prod(mesh[0]) > most:
             continue
-        case = _case(comm, scene, here[0], density)
+        case = _case(comm, scene, settings_here[0], density)
         if case.cells <= most:
             by_mesh = errors(case.converged.components, exact)[0]
-            yield from (_one(case, setting, exact, by_mesh) for setting in here)
+            yield from (_one(case, setting, exact, by_mesh) for setting in settings_here)
 
 
 def _one(case: Case, setting: Setting, exact: ExactField, by_mesh: float) -> Measured:
@@ -389,13 +392,13 @@ def _one(case: Case, setting: Setting, exact: ExactField, by_mesh: float) -> Mea
     return Measured(setting, case.cells, cycles, setup, seconds, error, _apart(efield, case.converged) / by_mesh)
 
 
-def _apart(found: VectorField, wanted: VectorField) -> float:
+def _apart(solved: VectorField, reference: VectorField) -> float:
     """L2 norm of a difference over that of what is wanted. Collective."""
-    apart = [field.copy() for field in wanted.components]
-    for difference, field in zip(apart, found.components, strict=True):
-        for level in range(wanted.hierarchy.levels):
+    remaining = [field.copy() for field in reference.components]
+    for difference, field in zip(remaining, solved.components, strict=True):
+        for level in range(reference.hierarchy.levels):
             difference.array(level)[:] -= field.array(level)
-    return float(np.sqrt(field_energy(VectorField(*apart)) / field_energy(wanted)))
+    return float(np.sqrt(field_energy(VectorField(*remaining)) / field_energy(reference)))
 
 
 def _case(comm: MPI.Comm, scene: Scene, setting: Setting, density: Density) -> Case:

@@ -51,11 +51,11 @@ def drawn(dump: Dump, folder: Path, views: Sequence[View] = OVERVIEW) -> Iterato
         require(dump, view)
     spread = spread_of(dump, density_of(dump))
     for view in views:
-        shown = numbers(dump, spread, view)
+        values = numbers(dump, spread, view)
         path = folder / f"{dump.path.stem}_{view.name}.png"
         with together(dump.comm, OutputError):
             if dump.comm.rank == 0:
                 from .plot import figure, save  # matplotlib takes long to import, and no other rank needs it
 
-                save(figure(dump, spread, view, shown), path)
+                save(figure(dump, spread, view, values), path)
         yield path

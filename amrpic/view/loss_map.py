@@ -59,10 +59,10 @@ def draw(table: NDArray[Any], quantities: Sequence[str]) -> Figure:
                 table["lower"][rows] / length, values[rows] / factor, width, align="edge", color=f"C{number}", alpha=0.75,
                 label=cause,
             )  # fmt: skip
-        held = values[values > 0]
-        if len(held) > 0 and held.max() > SEVERAL * held.min():
+        positive = values[values > 0]
+        if len(positive) > 0 and positive.max() > SEVERAL * positive.min():
             panel.set_yscale("log")
-            panel.set_ylim(bottom=max(held.min() / 2, held.max() * 10.0**-DECADES) / factor)
+            panel.set_ylim(bottom=max(positive.min() / 2, positive.max() * 10.0**-DECADES) / factor)
         panel.set_ylabel(f"{TITLES[name]} / ({prefix}{UNITS[name]})")
         panel.grid(alpha=0.3)
     panels[-1].set_xlabel(f"z / {length_prefix}m")

@@ -111,22 +111,22 @@ def draw_plane(particles: Particles, part: Part, name: str, title: str, of_tests
         labels.append(f"{NAMES[index]} / {divisor(prefix, unit)}")
     edges = _edges(values, pixels, same_scale=max(indices) < 3)
     charge = particles.weight if of_tests else np.abs(particles.weight * particles.charge)
-    held, _, _ = np.histogram2d(values[0], values[1], bins=(edges[0], edges[1]), weights=charge)
-    factor, prefix = (1.0, "") if of_tests else prefix_of(float(held.max()))
-    held /= factor
-    least = max(float(held[held > 0].min()), float(held.max()) * 10.0**-DECADES)
+    counts, _, _ = np.histogram2d(values[0], values[1], bins=(edges[0], edges[1]), weights=charge)
+    factor, prefix = (1.0, "") if of_tests else prefix_of(float(counts.max()))
+    counts /= factor
+    least = max(float(counts[counts > 0].min()), float(counts.max()) * 10.0**-DECADES)
 
     figure = Figure(figsize=(7.2, 6.0), layout="constrained")
     grid = figure.add_gridspec(2, 3, width_ratios=(5, 1, 0.18), height_ratios=(1, 5), wspace=0.02, hspace=0.02)
     plane = figure.add_subplot(grid[1, 0])
-    most = max(float(held.max()), 1.001 * least)
+    most = max(float(counts.max()), 1.001 * least)
     norm = LogNorm(least * (least / most) ** DARKEST, most)  # single particles are to be seen on the dark ground
-    image = plane.pcolormesh(*edges, np.where(held > 0, held, np.nan).T, norm=norm, cmap=ONE_SIGN, rasterized=True)
+    image = plane.pcolormesh(*edges, np.where(counts > 0, counts, np.nan).T, norm=norm, cmap=ONE_SIGN, rasterized=True)
     plane.set_facecolor("black")
     plane.set(xlabel=labels[0], ylabel=labels[1])
     _draw_ellipse(plane, values, charge)
-    _draw_profile(figure.add_subplot(grid[0, 0], sharex=plane), edges[0], held.sum(axis=1), upright=True)
-    _draw_profile(figure.add_subplot(grid[1, 1], sharey=plane), edges[1], held.sum(axis=0), upright=False)
+    _draw_profile(figure.add_subplot(grid[0, 0], sharex=plane), edges[0], counts.sum(axis=1), upright=True)
+    _draw_profile(figure.add_subplot(grid[1, 1], sharey=plane), edges[1], counts.sum(axis=0), upright=False)
     bar = figure.colorbar(image, cax=figure.add_subplot(grid[1, 2]))
     bar.set_label("particles per pixel" if of_tests else f"charge per pixel / {prefix}C")
     axis = indices[0]
@@ -181,28 +181,32 @@ def _twiss_text(part: Part, axis: int) -> str:
 
 def draw_slices(slices: Sequence[Slice], title: str) -> Figure:
     """Return the picture of what slices along z hold: charge, sizes, emittances, energies."""
-    edges = np.array([slices[0].lower, *(one.upper for one in slices)])
+    edges = np.array([slices[0].lower, *(of_slice.upper for of_slice in slices)])
     length, length_prefix = prefix_of(float(np.abs(edges).max()))
     centres = (edges[1:] + edges[:-1]) / 2 / length
-    moving = any(abs(one.part.flow) > 1e-3 * SPEED_OF_LIGHT * abs(one.part.charge) for one in slices)
-    profile = ("current", "A", [("", [one.current if moving else one.charge_per_length for one in slices])])
+    moving = any(abs(of_slice.part.flow) > 1e-3 * SPEED_OF_LIGHT * abs(of_slice.part.charge) for of_slice in slices)
+    profile = (
+        "current",
+        "A",
+        [("", [of_slice.current if moving else of_slice.charge_per_length for of_slice in slices])],
+    )
     if not moving:
         profile = ("charge per length", "C/m", profile[2])
     panels = [
         profile,
-        ("rms size", "m", [(name, [one.part.rms[axis] for one in slices]) for axis, name in enumerate("xy")]),
+        ("rms size", "m", [(name, [of_slice.part.rms[axis] for of_slice in slices]) for axis, name in enumerate("xy")]),
         (
             "emittance",
             "m rad",
-            [(name, [one.part.emittance(axis) for one in slices]) for axis, name in enumerate("xy")],
+            [(name, [of_slice.part.emittance(axis) for of_slice in slices]) for axis, name in enumerate("xy")],
         ),
-        ("kinetic energy", "eV", [("mean", [one.part.mean[6] / ELEMENTARY_CHARGE for one in slices])]),
-        ("energy spread", "eV", [("rms", [one.part.rms[6] / ELEMENTARY_CHARGE for one in slices])]),
+        ("kinetic energy", "eV", [("mean", [of_slice.part.mean[6] / ELEMENTARY_CHARGE for of_slice in slices])]),
+        ("energy spread", "eV", [("rms", [of_slice.part.rms[6] / ELEMENTARY_CHARGE for of_slice in slices])]),
     ]
     figure = Figure(figsize=(8, 9), layout="constrained")
     for panel, (label, unit, curves) in zip(figure.subplots(len(panels), 1, sharex=True), panels, strict=True):
-        known = [abs(value) for _, values in curves for value in values if np.isfinite(value)]
-        factor, prefix = prefix_of(max(known, default=1.0))
+        magnitudes = [abs(value) for _, values in curves for value in values if np.isfinite(value)]
+        factor, prefix = prefix_of(max(magnitudes, default=1.0))
         for number, (name, values) in enumerate(curves):
             scaled = np.array(values) / factor
             if label == profile[0]:

@@ -29,12 +29,12 @@ LINES = {"phi": "C0", "E": "C3", "rho": "C2"}  # colours of profiles
 ROUNDING = 1e-12  # of the mean charge per area
 
 
-def figure(dump: Dump, spread: Spread, view: View, shown: Raster | list[Array]) -> Figure:
+def figure(dump: Dump, spread: Spread, view: View, values: Raster | list[Array]) -> Figure:
     """Return the picture of what a view shows. Raises InputError if that is nothing."""
-    if isinstance(shown, list):
+    if isinstance(values, list):
         line = line_through(dump, spread, view.axis)
-        return profiles(dump, line, dict(zip(view.quantity.split(), shown, strict=True)), view.level)
-    return _projection(dump, spread, view, shown) if view.kind == "projection" else _slice(dump, view, shown)
+        return profiles(dump, line, dict(zip(view.quantity.split(), values, strict=True)), view.level)
+    return _projection(dump, spread, view, values) if view.kind == "projection" else _slice(dump, view, values)
 
 
 def _slice(dump: Dump, view: View, raster: Raster) -> Figure:
@@ -77,12 +77,12 @@ def _when(dump: Dump) -> str:
     return f"step {dump.step}, {when}"
 
 
-def profiles(dump: Dump, line: Line, shown: Mapping[str, Array], level: int | None = None) -> Figure:
+def profiles(dump: Dump, line: Line, curves: Mapping[str, Array], level: int | None = None) -> Figure:
     """Return the profiles of fields along a line, given by the values of each; of a vector, what points along it."""
     length, length_prefix = prefix_of(float(np.abs(line.along).max()))
-    figure = Figure(figsize=(8, 2.5 * len(shown) if len(shown) > 1 else 3.6), layout="constrained")
-    panels = figure.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]
-    for panel, (name, values) in zip(panels, shown.items(), strict=True):
+    figure = Figure(figsize=(8, 2.5 * len(curves) if len(curves) > 1 else 3.6), layout="constrained")
+    panels = figure.subplots(len(curves), 1, sharex=True, squeeze=False)[:, 0]
+    for panel, (name, values) in zip(panels, curves.items(), strict=True):
         symbol = SYMBOLS.get(name, name)
         if values.ndim > 1:
             values, symbol = values @ line.direction, f"{symbol} along the line"

@@ -306,7 +306,7 @@ def test_the_newest_are_kept_and_leftovers_of_dead_runs_go(comm, tmp_path):
 def test_those_of_every_so_many_steps_stay_besides_the_newest(comm, tmp_path):
     for step in range(5, 50, 5):
         checkpoint.write(comm, checkpoint_folder.path_of(tmp_path, step), snapshot(comm.size, comm.rank, step))
-        checkpoint_folder.prune(comm, tmp_path, keep=2, every=15)
+        checkpoint_folder.prune(comm, tmp_path, keep=2, stride=15)
     assert sorted(int(p.name[-8:]) for p in tmp_path.iterdir()) == [15, 30, 40, 45]
 
 

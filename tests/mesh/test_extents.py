@@ -72,7 +72,7 @@ def test_tags_refine_the_blocks_that_numpy_asks_for_up_to_the_upper_faces(comm, 
     check_boxes(hierarchy)
     for _ in range(3):  # the hierarchies check their nesting by themselves
         own, whole = tags_of(hierarchy, seed)
-        made = regrid(hierarchy, own, settings, kept=own)
+        made = regrid(hierarchy, own, settings, staying=own)
         for level, blocks in enumerate(wanted_blocks(hierarchy, whole, settings), start=1):
             assert np.array_equal(coarser(mask(made, level) == 1, hierarchy.blocking_factor), blocks)
         check_boxes(made)

@@ -334,7 +334,7 @@ def test_what_is_refined_stays_while_loosened_thresholds_ask_for_it(comm, name):
     assert all(
         np.array_equal(found, loose[level]) for level, found in enumerate(on_cells(seen.hierarchy, loosened)[:2])
     )
-    made = regrid(seen.hierarchy, tags_of(asked, seen), FULL, kept=loosened)
+    made = regrid(seen.hierarchy, tags_of(asked, seen), FULL, staying=loosened)
     for level in (1, 2):
         assert np.array_equal(coarser(mask(made, level) == 1, 4), kept[level - 1])
     assert any(np.any(a & ~b) for a, b in zip(kept, plain, strict=True)), "nothing was kept"

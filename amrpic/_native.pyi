@@ -1078,6 +1078,39 @@ def gather(
     starts: NDArray[numpy.int64],
     out: NDArray[numpy.float64],
 ) -> None: ...
+def take_column(
+    column: NDArray[numpy.float64],
+    places: NDArray[numpy.int64] | None,
+    shift: float,
+    scale: float,
+    out: NDArray[numpy.float64] | None,
+) -> tuple:
+    """
+    Values at places, or all, less `shift` times `scale` into `out`; Σ v, Σ |v|, the least and the greatest v.
+    """
+
+def put_into_places(
+    values: NDArray[numpy.float64], places: NDArray[numpy.int64], factors: Sequence[float], out: NDArray[numpy.float64]
+) -> None:
+    """Each vector times three factors to places[n]."""
+
+def gather_into_places(
+    mesh: ParticleMesh,
+    remote: RemoteBricks,
+    shape: Shape,
+    matched: bool,
+    kokkos: bool,
+    field: ElectricField,
+    position: NDArray[numpy.float64],
+    momentum: NDArray[numpy.float64],
+    weight: NDArray[numpy.float64],
+    id: NDArray[numpy.int64],
+    starts: NDArray[numpy.int64],
+    places: NDArray[numpy.int64],
+    factors: Sequence[float],
+    out: NDArray[numpy.float64],
+) -> None:
+    """What `gather` finds, times three factors, to places[n]."""
 
 class Pusher(enum.Enum):
     boris = 0

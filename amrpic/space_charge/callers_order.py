@@ -2,19 +2,39 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from mpi4py import MPI
 
+from .. import _native
+from ..mesh.field import VectorField
 from ..parallel import Communicator
 from ..particles.arrays import empty_columns, recycled
+from ..particles.clouds import Clouds
 from ..particles.particles import Particles
 from ..particles.species import Species, SpeciesTable
-from .callers_arrays import Arrays
+from ..stages.gather import gather, gather_into_places
+from .callers_arrays import Arrays, ColumnSums, column_sums, require_charges, require_places
+from .placing import Coordinates
 
 CHARGES = SpeciesTable((Species("charge", charge=1.0, mass=1.0),))  # the weight of a particle is its charge in C
 MIXED = 0.1  # of neighbours in the caller's order that are not neighbours when sorted, from which that is kept
 SAMPLED = 16  # one of so many pairs is looked at
 MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)  # of the golden ratio: spreads bits
+
+
+@dataclass(frozen=True, eq=False)
+class Taken:
+    """This rank's living particles, in the order in which they are taken."""
+
+    position: np.ndarray  # (k, 3) in the coordinates of the mesh
+    charge: np.ndarray  # (k,) C, one number that is repeated if all are equal
+    magnitude: float  # Σ |q|, C
+    places: tuple[ColumnSums, ColumnSums, ColumnSums]  # of x, y and z, m
+
+    def __len__(self) -> int:
+        return len(self.position)
 
 
 class CallersOrder:
@@ -32,24 +52,27 @@ class CallersOrder:
         self._numbers = np.zeros(0, dtype=np.int64)  # 0, 1, 2, …
         self._at_rest = empty_columns(0)
 
-    def columns(self, given: Arrays) -> tuple[list[np.ndarray], np.ndarray]:
-        """Return x, y and z of the living particles, and their charges, each (k,), in the order in which they are taken.
-
-        They may be the caller's memory. Local.
-        """
+    def take(self, given: Arrays, coordinates: Coordinates) -> Taken:
+        """Return the living particles in coordinates of a mesh. Local; InputError for values that are no places or charges."""
         self._take_up(given)
-        charge = np.asarray(given.charge) if np.ndim(given.charge) == 0 else self._taken(np.asarray(given.charge))
-        places = [self._taken(column) for column in given.places]
-        charge = np.broadcast_to(charge, len(places[0]))
         if self._reproducible:
-            canonical = np.lexsort((charge, *places[::-1]))
-            self._order = canonical if self._order is None else self._order[canonical]
-            places, charge = [column[canonical] for column in places], _chosen(charge, canonical)
-        return places, charge
+            self._sort_by_value(given)
+        count = len(given) if self._order is None else len(self._order)
+        position = empty_columns(count)
+        x, y, z = (self._coordinate(given, axis, coordinates, position) for axis in range(3))
+        charge, of_charge = self._charges(given, count)
+        return Taken(position, charge, of_charge.magnitude, (x, y, z))
 
-    def particles(self, position: np.ndarray, charge: np.ndarray, first: int) -> Particles:
-        """Return particles at positions (k, 3) in the order of `columns`; `first` is the id of this rank's first one."""
-        count = len(position)
+    def moved(self, taken: Taken, given: Arrays, before: Coordinates, after: Coordinates) -> Taken:
+        """Return what was taken in some coordinates in others. Local."""
+        for axis in range(3):
+            if before.along(axis) != after.along(axis):
+                self._coordinate(given, axis, after, taken.position)
+        return taken
+
+    def particles(self, taken: Taken, first: int) -> Particles:
+        """Return what was taken as particles; `first` is the id of this rank's first one."""
+        position, charge, count = taken.position, taken.charge, len(taken)
         if len(self._at_rest) != count:
             self._at_rest = empty_columns(count)
             self._at_rest[...] = 0
@@ -73,22 +96,31 @@ class CallersOrder:
             return None
         return particles.select(np.lexsort((particles.weight, *particles.position.T[::-1])))
 
-    def back(self, comm: Communicator, particles: Particles, values: np.ndarray, counts: np.ndarray) -> np.ndarray:
-        """Return values (k, 3) of particles that are sorted on this rank, as values (n, 3) of this rank's caller. Collective.
+    def back(
+        self,
+        efield: VectorField,
+        particles: Particles,
+        clouds: Clouds,
+        counts: np.ndarray,
+        factors: tuple[float, float, float],
+    ) -> np.ndarray:
+        """Return the field at particles that are sorted, times factors, as values (n, 3) of this rank's caller. Collective.
 
         Zero for those that are lost or do not live. `counts`: particles of each rank's caller, (ranks,).
         """
-        firsts = np.concatenate([[0], np.cumsum(counts)])
-        first, count = firsts[comm.rank], int(counts[comm.rank])
-        numbers = self.numbers(particles)
-        if comm.size > 1:
-            numbers, values = _returned(comm, numbers, values, firsts)
-            numbers = numbers - first
+        comm, numbers = efield.hierarchy.comm, self.numbers(particles)
+        count = int(counts[comm.rank])
         out = empty_columns(count)
+        if comm.size > 1:
+            firsts = np.concatenate([[0], np.cumsum(counts)])
+            numbers, values = _returned(comm, numbers, gather(efield, particles, clouds), firsts)
+            numbers = numbers - firsts[comm.rank]
         if len(numbers) < count:
             out[...] = 0
-        for target, source in zip(out.T, values.T, strict=True):
-            target[numbers] = source
+        if comm.size > 1:
+            _native.put_into_places(values, numbers, factors, out)
+        else:
+            gather_into_places(efield, particles, clouds, numbers, factors, out)
         self._keep(numbers, count)
         return out
 
@@ -104,10 +136,28 @@ class CallersOrder:
             if given.alive is not None:
                 self._order = np.flatnonzero(given.alive)
 
-    def _taken(self, column: np.ndarray) -> np.ndarray:
-        if self._order is None:
-            return column
-        return np.take(column, self._order, out=recycled(len(self._order), np.float64), mode="clip")
+    def _sort_by_value(self, given: Arrays) -> None:
+        """Take particles in an order that depends on their places and charges alone."""
+        keys = [key for key in (given.charge, *given.places[::-1]) if isinstance(key, np.ndarray)]
+        canonical = np.lexsort([key if self._order is None else key[self._order] for key in keys])
+        self._order = canonical if self._order is None else self._order[canonical]
+
+    def _coordinate(self, given: Arrays, axis: int, coordinates: Coordinates, position: np.ndarray) -> ColumnSums:
+        sums = column_sums(given.places[axis], self._order, *coordinates.along(axis), position[:, axis])
+        require_places(sums, given, axis)
+        return sums
+
+    def _charges(self, given: Arrays, count: int) -> tuple[np.ndarray, ColumnSums]:
+        """Return the charges that are taken (k,), and what they add up to."""
+        charge = given.charge
+        if isinstance(charge, float):
+            sums = ColumnSums(count * charge, count * abs(charge), charge, charge)
+        else:
+            out = recycled(count, np.float64)
+            sums = column_sums(charge, self._order, out=out)
+        require_charges(sums)
+        equal = sums.least == sums.greatest
+        return (np.broadcast_to(sums.least, count) if equal or count == 0 else out), sums
 
     def _indices(self, count: int) -> np.ndarray:
         if self._order is not None:
@@ -130,10 +180,6 @@ class CallersOrder:
             left[numbers] = False
             numbers = np.concatenate([numbers, np.flatnonzero(left)])
         self._order = numbers
-
-
-def _chosen(charge: np.ndarray, order: np.ndarray) -> np.ndarray:
-    return charge if charge.strides == (0,) else charge[order]
 
 
 def _digest(position: np.ndarray, charge: np.ndarray) -> np.ndarray:

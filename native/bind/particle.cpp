@@ -18,6 +18,7 @@
 #include "particle/array_pool.hpp"
 #include "particle/beam_amplitudes.hpp"
 #include "particle/beam_moments.hpp"
+#include "particle/callers_columns.hpp"
 #include "particle/count_per_brick.hpp"
 #include "particle/deposit.hpp"
 #include "particle/gather.hpp"
@@ -343,6 +344,45 @@ void bind_particle(nb::module_& m) {
       },
       "mesh"_a, "remote"_a, "shape"_a, "matched"_a, "kokkos"_a, "field"_a, "position"_a, "momentum"_a, "weight"_a,
       "id"_a, "starts"_a, "out"_a);
+
+  m.def(
+      "take_column",
+      [](nb::ndarray<Real const, nb::ndim<1>, nb::device::cpu> from, std::optional<Row<std::int64_t const>> places,
+         Real shift, Real scale, std::optional<Row<Real>> out) {
+        std::size_t const count = places ? places->shape(0) : from.shape(0);
+        if (out && out->shape(0) != count) throw std::invalid_argument("as many places as values are asked for");
+        ColumnSums of;
+        {
+          nb::gil_scoped_release release;
+          of = take_column({from.data(), from.stride(0)}, places ? places->data() : nullptr, std::int64_t(count), shift,
+                           scale, out ? out->data() : nullptr);
+        }
+        return nb::make_tuple(of.sum, of.magnitude, of.least, of.greatest);
+      },
+      "column"_a, "places"_a.none(), "shift"_a, "scale"_a, "out"_a.none(),
+      "Values at places, or all, less `shift` times `scale` into `out`; Σ v, Σ |v|, the least and the greatest v.");
+  m.def(
+      "put_into_places",
+      [](ConstColumns values, Row<std::int64_t const> places, Real3 factors, Columns out) {
+        nb::gil_scoped_release release;
+        put_into_places(columns(values), {places.data(), std::int64_t(places.shape(0)), factors},
+                        std::int64_t(out.shape(0)), columns(out));
+      },
+      "values"_a, "places"_a, "factors"_a, "out"_a, "Each vector times three factors to places[n].");
+
+  m.def(
+      "gather_into_places",
+      [](ParticleMesh& mesh, RemoteBricks const& remote, Shape shape, bool matched, bool kokkos,
+         ElectricField const& field, ConstColumns position, ConstColumns momentum, OnePerParticle weight,
+         Row<std::int64_t const> id, Row<std::int64_t const> starts, Row<std::int64_t const> places, Real3 factors,
+         Columns out) {
+        nb::gil_scoped_release release;
+        gather_into_places(mesh, remote, clouds_of(shape, matched, kokkos), field, view(position, momentum, weight, id),
+                           starts.data(), {places.data(), std::int64_t(places.shape(0)), factors},
+                           std::int64_t(out.shape(0)), columns(out));
+      },
+      "mesh"_a, "remote"_a, "shape"_a, "matched"_a, "kokkos"_a, "field"_a, "position"_a, "momentum"_a, "weight"_a,
+      "id"_a, "starts"_a, "places"_a, "factors"_a, "out"_a, "What `gather` finds, times three factors, to places[n].");
 
   nb::enum_<Pusher>(m, "Pusher").value("boris", Pusher::boris).value("higuera_cary", Pusher::higuera_cary);
 

@@ -909,6 +909,11 @@ def recycled(bytes: int) -> NDArray[numpy.uint8]:
 def idle_bytes() -> int:
     """Memory that waits for `recycled` to be called again."""
 
+class ReservedMemory:
+    """So many more bytes wait for `recycled` as long as this lives."""
+
+    def __init__(self, bytes: int) -> None: ...
+
 class ParticleMesh:
     def __init__(self, hierarchy: Hierarchy) -> None: ...
     @property
@@ -945,7 +950,7 @@ class Migration:
         mesh: ParticleMesh,
         servers: NDArray[numpy.int64],
         position: NDArray[numpy.float64],
-        momentum: NDArray[numpy.float64],
+        momentum: NDArray[numpy.float64] | None,
         weight: NDArray[numpy.float64],
         id: NDArray[numpy.int64],
         gone: NDArray[numpy.int64],
@@ -962,14 +967,14 @@ class Migration:
     def start(
         self,
         position: NDArray[numpy.float64],
-        momentum: NDArray[numpy.float64],
+        momentum: NDArray[numpy.float64] | None,
         weight: NDArray[numpy.float64],
         id: NDArray[numpy.int64],
     ) -> bool: ...
     def receive(
         self,
         position: NDArray[numpy.float64],
-        momentum: NDArray[numpy.float64],
+        momentum: NDArray[numpy.float64] | None,
         weight: NDArray[numpy.float64],
         id: NDArray[numpy.int64],
     ) -> None: ...

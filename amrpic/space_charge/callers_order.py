@@ -9,12 +9,14 @@ from mpi4py import MPI
 
 from .. import _native
 from ..mesh.field import VectorField
+from ..mesh.hierarchy import Hierarchy
 from ..parallel import Communicator
-from ..particles.arrays import empty_columns, recycled
+from ..particles.arrays import empty_columns, recycled, zero_columns
 from ..particles.clouds import Clouds
 from ..particles.particles import Particles
 from ..particles.species import Species, SpeciesTable
 from ..stages.gather import gather, gather_into_places
+from ..stages.migrate import NONE, migrate_without
 from .callers_arrays import Arrays, ColumnSums, column_sums, require_charges, require_places
 from .placing import Coordinates
 
@@ -37,6 +39,20 @@ class Taken:
         return len(self.position)
 
 
+class Buffers:
+    """Keeps the memory of one call for the next, between which nothing of it is in use."""
+
+    COLUMNS = 16  # of eight bytes for each particle, that a call has at a time
+
+    def __init__(self) -> None:
+        self._particles, self._reserved = 0, _native.ReservedMemory(0)
+
+    def serve(self, particles: int) -> None:
+        """Let there be room for so many particles."""
+        if particles != self._particles:
+            self._particles, self._reserved = particles, _native.ReservedMemory(8 * self.COLUMNS * particles)
+
+
 class CallersOrder:
     """How the latest caller's particles follow each other when they are sorted on the mesh: kept for the next call, whose
     particles are then taken nearly sorted. Whatever is kept, results are those of the particles that are given.
@@ -50,7 +66,7 @@ class CallersOrder:
         self._of = -1  # number of particles that `_order` is of
         self._alive: np.ndarray | None = None
         self._numbers = np.zeros(0, dtype=np.int64)  # 0, 1, 2, …
-        self._at_rest = empty_columns(0)
+        self.outside = 0  # particles of all ranks that lay outside the mesh when they were sorted
 
     def take(self, given: Arrays, coordinates: Coordinates) -> Taken:
         """Return the living particles in coordinates of a mesh. Local; InputError for values that are no places or charges."""
@@ -73,12 +89,9 @@ class CallersOrder:
     def particles(self, taken: Taken, first: int) -> Particles:
         """Return what was taken as particles; `first` is the id of this rank's first one."""
         position, charge, count = taken.position, taken.charge, len(taken)
-        if len(self._at_rest) != count:
-            self._at_rest = empty_columns(count)
-            self._at_rest[...] = 0
         places = self._indices(count)
         if not self._reproducible:
-            return Particles(position, self._at_rest, charge, places + first if first else places, CHARGES)
+            return Particles(position, zero_columns(count), charge, places + first if first else places, CHARGES)
         # who serves a particle follows from its id, so that is made of what it is, and its number goes with the momentum
         momentum = empty_columns(count)
         momentum[...] = 0
@@ -89,12 +102,18 @@ class CallersOrder:
         """Return the numbers, `first` + index in the caller's arrays, of sorted particles, int64 (k,)."""
         return particles.momentum[:, 0].astype(np.int64) if self._reproducible else particles.id
 
-    def settled(self, particles: Particles) -> Particles | None:
-        """Return particles that were sorted on a hierarchy in the order in which those of a brick are to follow each other, to
-        be sorted again; None if they are right. Local."""
-        if not self._reproducible:
-            return None
-        return particles.select(np.lexsort((particles.weight, *particles.position.T[::-1])))
+    def sort(self, hierarchy: Hierarchy, particles: Particles, servers: np.ndarray | None) -> Particles:
+        """Return particles sorted on a hierarchy, without those that lie outside it: `outside` says how many. Collective.
+
+        `servers` that serve no longer are replaced.
+        """
+        evenly, at_rest = servers is not None, not self._reproducible
+        found, _, self.outside = migrate_without(particles, hierarchy, NONE, servers, evenly, at_rest=at_rest)
+        if self._reproducible:
+            assert found.sorting is not None
+            among = np.lexsort((found.weight, *found.position.T[::-1]))  # those of a brick follow each other so
+            found = migrate_without(found.select(among), hierarchy, NONE, found.sorting.servers)[0]
+        return found
 
     def back(
         self,

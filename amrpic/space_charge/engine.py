@@ -24,9 +24,9 @@ from ..scene.solver_options import SolverSection
 from ..units import SPEED_OF_LIGHT
 from . import callers_arrays
 from .callers_arrays import ColumnSums
-from .callers_order import CallersOrder, Taken
+from .callers_order import Buffers, CallersOrder, Taken
 from .placing import Coordinates, Extent, Placing, extent_of, levels_for, sizes_of
-from .self_field import ChargeOnMesh, SelfField, sorted_on
+from .self_field import ChargeOnMesh, SelfField
 
 NOWHERE = (ColumnSums(),) * 3
 
@@ -95,6 +95,7 @@ class SpaceCharge:
         self._hierarchy: Hierarchy | None = None
         self._servers: np.ndarray | None = None
         self._calls = 0  # since the domain is what it is
+        self._buffers = Buffers()
         self.outside = 0  # living particles that lay outside the domain in the latest call
 
     def field(
@@ -203,6 +204,7 @@ class SpaceCharge:
             places = None if at is None else callers_arrays.other_places(at)
             times = factors(len(given), lorentz)
             before = Coordinates(placing.centre, lorentz)
+            self._buffers.serve(len(given) + (0 if places is None else len(places)))
             taken, points = order.take(given, before), None if places is None else others.take(places, before)
         counts = self._counts(comm, len(given), -1 if places is None else len(places), lorentz)
         extent = extent_of(
@@ -219,7 +221,7 @@ class SpaceCharge:
         if places is not None and points is not None:
             points = others.moved(points, places, before, placing.coordinates)
             there = others.particles(points, int(counts[: comm.rank, 1].sum()))
-            particles, _ = sorted_on(efield.hierarchy, there, None, lambda sorted_: None)
+            particles = others.sort(efield.hierarchy, there, None)
             order, counts = others, counts[:, 1:]
         return order.back(efield, particles, self._field.clouds, counts[:, 0], times), lorentz
 
@@ -232,10 +234,11 @@ class SpaceCharge:
             self._begin(comm, extent, taken)
         assert self._hierarchy is not None
         given = self._order.particles(taken, int(counts[: comm.rank].sum()))
-        particles, self.outside = sorted_on(self._hierarchy, given, self._servers, self._order.settled)
+        particles = self._order.sort(self._hierarchy, given, self._servers)
+        self.outside = self._order.outside
         if due and field.refinement.follows:
             hysteresis = 1.0 if anew else field.refinement.hysteresis
-            particles = field.follow(particles, extent.magnitude, hysteresis, self._order.settled)
+            particles = field.follow(particles, extent.magnitude, hysteresis, self._order.sort)
         assert particles.sorting is not None
         self._hierarchy, self._servers = particles.sorting.hierarchy, particles.sorting.servers
         return particles, ChargeOnMesh(field, particles, extent.magnitude)["efield"]

@@ -15,13 +15,13 @@ from ..scene.refinement import Refinement
 from ..scene.solver_options import SolverOptions
 from ..stages.deposit import deposit
 from ..stages.gather import compensate
-from ..stages.migrate import NONE, migrate_without, shared_out_by_work
+from ..stages.migrate import shared_out_by_work
 from ..stages.poisson import PoissonSolver, SolveReport
 from ..stages.regrid import carry_over
 from .quantities import QuantitiesOnMesh
 from .tagging_rules import refined
 
-Settle = Callable[[Particles], Particles | None]
+Sort = Callable[[Hierarchy, Particles, np.ndarray | None], Particles]
 
 
 class SelfField:
@@ -58,14 +58,16 @@ class SelfField:
         compensate(efield, rho, self.clouds, self.options.stretch)
         return phi, efield
 
-    def follow(self, particles: Particles, deposited: float, hysteresis: float, settle: Settle) -> Particles:
-        """Return the particles sorted on a mesh that is refined where the rule asks for it. Collective."""
+    def follow(self, particles: Particles, deposited: float, hysteresis: float, sort: Sort) -> Particles:
+        """Return the particles sorted on a mesh that is refined where the rule asks for it. Collective.
+
+        `sort`: sorts particles on a mesh, given who serves which.
+        """
         for _ in range(2 * self.refinement.levels):  # not for ever, where a rule goes round in circles
             hierarchy = refined(ChargeOnMesh(self, particles, deposited), self.refinement, hysteresis)[0]
             if particles.sorting is not None and hierarchy is particles.sorting.hierarchy:
                 break
-            servers = shared_out_by_work(particles, hierarchy)
-            particles = sorted_on(hierarchy, particles, servers, settle)[0]
+            particles = sort(hierarchy, particles, shared_out_by_work(particles, hierarchy))
         return particles
 
     def _on(self, hierarchy: Hierarchy) -> PoissonSolver:
@@ -100,21 +102,6 @@ class ChargeOnMesh(QuantitiesOnMesh):
         phi, efield = self._of.solved(self["rho"], self._deposited)
         self._made.update(phi=phi, efield=efield)
         return phi, efield
-
-
-def sorted_on(
-    hierarchy: Hierarchy, particles: Particles, servers: np.ndarray | None, settle: Settle
-) -> tuple[Particles, int]:
-    """Return particles sorted on a hierarchy, and how many of all ranks lie outside it. Collective.
-
-    `servers` that serve no longer are replaced. `settle` may ask for another order of those of a brick.
-    """
-    found, _, missing = migrate_without(particles, hierarchy, NONE, servers, evenly=servers is not None)
-    again = settle(found)
-    if again is not None:
-        assert found.sorting is not None
-        found = migrate_without(again, hierarchy, NONE, found.sorting.servers)[0]
-    return found, missing
 
 
 def with_levels(refinement: Refinement, levels: int) -> Refinement:

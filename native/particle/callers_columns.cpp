@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <limits>
 
-#include "particle/array_pool.hpp"
 #include "particle/lane_groups.hpp"
 
 namespace amrpic {
@@ -69,25 +68,9 @@ ColumnSums take_column(StridedColumn const& from, std::int64_t const* places, st
   return taken([&](std::int64_t n) { return from[n]; }, count, shift, scale, out);
 }
 
-bool CallersPlaces::follow_each_other() const {
-  constexpr std::int64_t sampled = 16;  // one of so many pairs is looked at
-  std::int64_t pairs = 0, apart = 0;
-  for (std::int64_t n = 0; n + 1 < count; n += sampled, ++pairs) apart += places[n + 1] != places[n] + 1;
-  return 2 * apart <= pairs;
-}
-
-void put_into_places(std::array<Real*, 3> const& values, CallersPlaces const& to, std::int64_t rows,
-                     std::array<Real*, 3> const& out) {
-  if (to.count < rows || to.follow_each_other()) {
-    for (std::size_t d = 0; d < 3; ++d)
-      for (std::int64_t n = 0; n < to.count; ++n) out[d][to.places[n]] = values[d][n] * to.factors[d];
-    return;
-  }
-  // Numbers of four bytes are the only ones that are written here and there.
-  Scratch<LocalIndex> const at(static_cast<std::size_t>(rows));
-  for (std::int64_t n = 0; n < to.count; ++n) at[std::size_t(to.places[n])] = LocalIndex(n);
+void put_into_places(std::array<Real*, 3> const& values, CallersPlaces const& to, std::array<Real*, 3> const& out) {
   for (std::size_t d = 0; d < 3; ++d)
-    for (std::int64_t row = 0; row < rows; ++row) out[d][row] = values[d][at[std::size_t(row)]] * to.factors[d];
+    for (std::int64_t n = 0; n < to.count; ++n) out[d][to.places[n]] = values[d][n] * to.factors[d];
 }
 
 }  // namespace amrpic

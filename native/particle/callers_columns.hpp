@@ -30,16 +30,12 @@ ColumnSums take_column(StridedColumn const& from, std::int64_t const* places, st
 
 /// Where a caller has values: of the n-th particle at places[n], and there times a factor for each component.
 struct CallersPlaces {
-  std::int64_t const* places;  ///< no two are the same
+  std::int64_t const* places;
   std::int64_t count;
   Real3 factors;
-
-  /// Whether most lie behind the one before, so that values may be written as they come.
-  bool follow_each_other() const;
 };
 
-/// Write components of values to a caller's places, of which `rows` are in memory; others stay as they are.
-void put_into_places(std::array<Real*, 3> const& values, CallersPlaces const& to, std::int64_t rows,
-                     std::array<Real*, 3> const& out);
+/// Write components of values to a caller's places.
+void put_into_places(std::array<Real*, 3> const& values, CallersPlaces const& to, std::array<Real*, 3> const& out);
 
 }  // namespace amrpic

@@ -21,12 +21,12 @@ void gather(ParticleMesh& mesh, RemoteBricks const& remote, Clouds const& clouds
 
 void gather_into_places(ParticleMesh& mesh, RemoteBricks const& remote, Clouds const& clouds,
                         ElectricField const& field, ParticleView const& particles, std::int64_t const* starts,
-                        CallersPlaces const& to, std::int64_t rows, std::array<Real*, 3> const& out) {
-  if (clouds.kernels || !to.follow_each_other()) {
+                        CallersPlaces const& to, std::array<Real*, 3> const& out) {
+  if (clouds.kernels) {
     std::size_t const count = std::size_t(particles.count);
     Scratch<Real> const x(count), y(count), z(count);
     gather(mesh, remote, clouds, field, particles, starts, {x.data(), y.data(), z.data()});
-    return put_into_places({x.data(), y.data(), z.data()}, to, rows, out);
+    return put_into_places({x.data(), y.data(), z.data()}, to, out);
   }
   read_field(mesh, remote, clouds, field, particles, starts, [&](LaneGroup const& group, Components const& felt) {
     for_each_bit(group.lanes, [&](int i) {

@@ -22,10 +22,9 @@ namespace amrpic {
 void gather(ParticleMesh& mesh, RemoteBricks const& remote, Clouds const& clouds, ElectricField const& field,
             ParticleView const& particles, std::int64_t const* starts, std::array<Real*, 3> const& at_particles);
 
-/// Write what `gather` finds to the places that a caller has for the particles, of which `rows` are in memory.
-/// Collective.
+/// Write what `gather` finds to the places that a caller has for the particles. Collective.
 void gather_into_places(ParticleMesh& mesh, RemoteBricks const& remote, Clouds const& clouds,
                         ElectricField const& field, ParticleView const& particles, std::int64_t const* starts,
-                        CallersPlaces const& to, std::int64_t rows, std::array<Real*, 3> const& out);
+                        CallersPlaces const& to, std::array<Real*, 3> const& out);
 
 }  // namespace amrpic

@@ -33,7 +33,7 @@ class NativeStages:
     """Migrate, deposit, solve and gather of particles on the mesh of a SpaceCharge, whose clouds it takes."""
 
     def __init__(self, like: Any, places: np.ndarray) -> None:
-        self.hierarchy, self.clouds, self.options = like.hierarchy, like._field.clouds, like._field.options
+        self.hierarchy, self.clouds, self.options = like.hierarchy, like._memory.clouds, like._memory.options
         self.solver = PoissonSolver(self.hierarchy, options=self.options)
         species = SpeciesTable((Species("charge", charge=1.0, mass=1.0),))
         count = len(places)

@@ -25,8 +25,8 @@ from ..units import SPEED_OF_LIGHT
 from . import callers_arrays
 from .callers_arrays import ColumnSums
 from .callers_order import Buffers, CallersOrder, Taken
+from .charge_on_mesh import ChargeOnMesh, Memory
 from .placing import Coordinates, Extent, Placing, extent_of, levels_for, sizes_of
-from .self_field import ChargeOnMesh, SelfField
 
 NOWHERE = (ColumnSums(),) * 3
 
@@ -89,7 +89,7 @@ class SpaceCharge:
         )
         options = _section(SolverSection, tolerance=tolerance)
         self._levels = refinement.levels
-        self._field = SelfField(refinement, options)
+        self._memory = Memory(refinement, options)
         self._order, self._order_of_places = CallersOrder(reproducible), CallersOrder()
         self._comm: Communicator | None = None
         self._hierarchy: Hierarchy | None = None
@@ -177,7 +177,7 @@ class SpaceCharge:
     @property
     def cycles(self) -> int:
         """Cycles that the latest solve took."""
-        return 0 if self._field.report is None else self._field.report.cycles
+        return 0 if self._memory.report is None else self._memory.report.cycles
 
     # ---- a call ----
     def _times(
@@ -223,45 +223,45 @@ class SpaceCharge:
             there = others.particles(points, int(counts[: comm.rank, 1].sum()))
             particles = others.sort(efield.hierarchy, there, None)
             order, counts = others, counts[:, 1:]
-        return order.back(efield, particles, self._field.clouds, counts[:, 0], times), lorentz
+        return order.back(efield, particles, self._memory.clouds, counts[:, 0], times), lorentz
 
     def _solved(
         self, comm: Communicator, extent: Extent, taken: Taken, counts: np.ndarray, anew: bool
     ) -> tuple[Particles, VectorField]:
         """Return the particles sorted on the mesh, and their field there. Collective."""
-        field, due = self._field, anew or self._regrids
+        memory, order, due = self._memory, self._order, anew or self._regrids
         if anew:
             self._begin(comm, extent, taken)
         assert self._hierarchy is not None
-        given = self._order.particles(taken, int(counts[: comm.rank].sum()))
-        particles = self._order.sort(self._hierarchy, given, self._servers)
-        self.outside = self._order.outside
-        if due and field.refinement.follows:
-            hysteresis = 1.0 if anew else field.refinement.hysteresis
-            particles = field.follow(particles, extent.magnitude, hysteresis, self._order.sort)
+        given = order.particles(taken, int(counts[: comm.rank].sum()))
+        charge = ChargeOnMesh(memory, order.sort(self._hierarchy, given, self._servers), extent.magnitude)
+        self.outside = order.outside
+        if due and memory.refinement.follows:
+            charge = charge.followed(1.0 if anew else memory.refinement.hysteresis, order.sort)
+        particles = charge.particles
         assert particles.sorting is not None
         self._hierarchy, self._servers = particles.sorting.hierarchy, particles.sorting.servers
-        return particles, ChargeOnMesh(field, particles, extent.magnitude)["efield"]
+        return particles, charge["efield"]
 
     def _begin(self, comm: Communicator, extent: Extent, taken: Taken) -> None:
         """Make a mesh of the base alone on a new domain, and choose its levels and the clouds. Collective."""
-        domain, field = self._placing.domain, self._field
+        domain, memory = self._placing.domain, self._memory
         assert domain is not None
         number, rms = sizes_of(comm, taken.position, taken.charge, extent)
         levels = levels_for(domain, rms, extent.count) if self._auto_levels else self._levels
-        field.refinement = field.refinement.model_copy(update={"levels": levels})
+        memory.refinement = memory.refinement.model_copy(update={"levels": levels})
         widths = domain.spacing / 2**levels
         pays = compensation_pays(number, rms / widths, self._shape)
         compensation = ("clouds-and-mesh" if pays else "none") if self._compensation == "auto" else self._compensation
         matched = levels > 0 and matched_pays(number, rms / widths)
-        field.clouds = Clouds(self._shape, matched, compensation)
-        field.start_anew()
-        sizes = field.refinement.max_grid_size, field.refinement.blocking_factor
+        memory.clouds = Clouds(self._shape, matched, compensation)
+        memory.start_anew()
+        sizes = memory.refinement.max_grid_size, memory.refinement.blocking_factor
         self._hierarchy, self._servers, self._calls = Hierarchy(comm, domain, (), *sizes), None, 0
 
     @property
     def _regrids(self) -> bool:
-        every = self._field.refinement.regrid_every
+        every = self._memory.refinement.regrid_every
         return every > 0 and self._calls > 0 and self._calls % every == 0
 
     def _counts(self, comm: Communicator, particles: int, places: int, gamma: float) -> np.ndarray:

@@ -13,7 +13,7 @@ from mpi4py import MPI
 import amrpic
 from amrpic import _native
 from amrpic.units import ELEMENTARY_CHARGE, PROTON_MASS, SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
-from exact_fields import ellipsoid_field, gaussian_field, quiet_ellipsoid, quiet_gaussian
+from exact.bunches import ellipsoid_field, gaussian_field, quiet_ellipsoid, quiet_gaussian
 
 CHARGE = 1e-9  # C, of a bunch
 SIZES = np.array([1e-3, 1e-3, 2e-3])

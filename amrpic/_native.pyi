@@ -909,6 +909,11 @@ def recycled(bytes: int) -> NDArray[numpy.uint8]:
 def idle_bytes() -> int:
     """Memory that waits for `recycled` to be called again."""
 
+class ReservedMemory:
+    """So many more bytes wait for `recycled` as long as this lives."""
+
+    def __init__(self, bytes: int) -> None: ...
+
 class ParticleMesh:
     def __init__(self, hierarchy: Hierarchy) -> None: ...
     @property
@@ -945,7 +950,7 @@ class Migration:
         mesh: ParticleMesh,
         servers: NDArray[numpy.int64],
         position: NDArray[numpy.float64],
-        momentum: NDArray[numpy.float64],
+        momentum: NDArray[numpy.float64] | None,
         weight: NDArray[numpy.float64],
         id: NDArray[numpy.int64],
         gone: NDArray[numpy.int64],
@@ -962,14 +967,14 @@ class Migration:
     def start(
         self,
         position: NDArray[numpy.float64],
-        momentum: NDArray[numpy.float64],
+        momentum: NDArray[numpy.float64] | None,
         weight: NDArray[numpy.float64],
         id: NDArray[numpy.int64],
     ) -> bool: ...
     def receive(
         self,
         position: NDArray[numpy.float64],
-        momentum: NDArray[numpy.float64],
+        momentum: NDArray[numpy.float64] | None,
         weight: NDArray[numpy.float64],
         id: NDArray[numpy.int64],
     ) -> None: ...
@@ -1078,6 +1083,39 @@ def gather(
     starts: NDArray[numpy.int64],
     out: NDArray[numpy.float64],
 ) -> None: ...
+def take_column(
+    column: NDArray[numpy.float64],
+    places: NDArray[numpy.int64] | None,
+    shift: float,
+    scale: float,
+    out: NDArray[numpy.float64] | None,
+) -> tuple:
+    """
+    Values at places, or all, less `shift` times `scale` into `out`; Σ v, Σ |v|, the least and the greatest v.
+    """
+
+def put_into_places(
+    values: NDArray[numpy.float64], places: NDArray[numpy.int64], factors: Sequence[float], out: NDArray[numpy.float64]
+) -> None:
+    """Each vector times three factors to places[n]."""
+
+def gather_into_places(
+    mesh: ParticleMesh,
+    remote: RemoteBricks,
+    shape: Shape,
+    matched: bool,
+    kokkos: bool,
+    field: ElectricField,
+    position: NDArray[numpy.float64],
+    momentum: NDArray[numpy.float64],
+    weight: NDArray[numpy.float64],
+    id: NDArray[numpy.int64],
+    starts: NDArray[numpy.int64],
+    places: NDArray[numpy.int64],
+    factors: Sequence[float],
+    out: NDArray[numpy.float64],
+) -> None:
+    """What `gather` finds, times three factors, to places[n]."""
 
 class Pusher(enum.Enum):
     boris = 0

@@ -71,6 +71,39 @@ class CutArms:
             np.array([0, cut.stop - cut.start]),
         )
 
+    def crossings(
+        self, electrodes: Sequence[Conductor], boxes: ArrayLike, origin: ArrayLike, spacing: ArrayLike
+    ) -> Walls:
+        """Return where all cut arms meet metal; the other arguments are those that `arms_of_boxes` got."""
+        rows = np.reshape(np.asarray(boxes, np.int64), (-1, 6))
+        box = np.repeat(np.arange(len(rows)), np.diff(self.first_cut))
+        cut, side = np.nonzero(self.electrode >= 0)
+        size = (rows[:, 3:] - rows[:, :3] + 1)[box[cut]]
+        rest, i = np.divmod(self.cell[cut], size[:, 0])
+        k, j = np.divmod(rest, size[:, 1])
+        index = np.stack([i, j, k], axis=1) + rows[box[cut], :3]
+        lattice = Lattice.of(origin, spacing)
+        place = np.stack([lattice.centre(axis, index[:, axis]) for axis in range(3)], axis=1)
+        axis, way = side // 2, np.zeros_like(place)
+        way[np.arange(len(side)), axis] = np.where(side % 2, 1.0, -1.0)
+        place += way * (self.theta[cut, side] * lattice.spacing[axis])[:, None]
+        normal = -way  # where rounding hides the surface
+        owner, surface = self.electrode[cut, side], self.surface[cut, side]
+        for number, electrode in enumerate(electrodes):
+            own = np.flatnonzero((owner == number) & (surface >= 0))
+            normal[own] = electrode.shape.normals(place[own], surface[own], way[own])
+        return Walls(cut, side, index, place, normal)
+
+
+class Walls(NamedTuple):
+    """Where cut arms meet metal."""
+
+    cut: Ints  # (m,) row of the cut cell in `CutArms`
+    side: Ints  # (m,) 0 to 5
+    index: Ints  # (m, 3) of the cell
+    place: Floats  # (m, 3) m
+    normal: Floats  # (m, 3) unit vector out of the metal
+
 
 def cut_arms(
     electrodes: Sequence[Conductor], lower: ArrayLike, shape: ArrayLike, origin: ArrayLike, spacing: ArrayLike
@@ -105,7 +138,7 @@ def arms_of_boxes(
 
     An electrode comes before later ones where they overlap. Contacts are those on lines through cells of these boxes.
     """
-    lattice = Lattice(np.asarray(origin, float), np.broadcast_to(np.asarray(spacing, float), 3))
+    lattice = Lattice.of(origin, spacing)
     cells = GrownBoxes.around(np.reshape(np.asarray(boxes, np.int64), (-1, 6)))
     owner = np.full(cells.total, -1, np.int32)
     crossings: list[Crossings] = []
@@ -125,6 +158,12 @@ class Lattice:
 
     origin: Floats  # (3,) m
     spacing: Floats  # (3,) m
+
+    @classmethod
+    def of(cls, origin: ArrayLike, spacing: ArrayLike) -> Lattice:
+        """Return the lattice; one spacing stands for all axes."""
+        start, width = (np.broadcast_to(np.asarray(value, float), 3) for value in (origin, spacing))
+        return cls(np.asarray(start), np.asarray(width))
 
     def centre(self, axis: int, index: Ints) -> Floats:
         """Return coordinates of centres along an axis, m."""

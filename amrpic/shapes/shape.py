@@ -210,13 +210,16 @@ def _meets(bounds: tuple[Point, Point], start: Columns, direction: Columns) -> N
     return ~(enter > leave + np.where(np.isfinite(margin), margin, 0.0))
 
 
-def slabs(bounds: tuple[Point, Point], start: Columns, direction: Columns) -> tuple[Floats, Floats]:
-    """Return where lines enter and leave a box; of those that miss it, `enter` is above `leave`."""
+def slabs(bounds: tuple[Point, Point], start: Columns, direction: Columns, slack: float = 0.0) -> tuple[Floats, Floats]:
+    """Return where lines enter and leave a box; of those that miss it, `enter` is above `leave`.
+
+    Lines along faces are in the box up to a distance `slack` from it.
+    """
     enter, leave = np.full(start.shape[1], -np.inf), np.full(start.shape[1], np.inf)
     for lower, upper, p, d in zip(*bounds, start, direction, strict=True):
         one, other = (lower - p) / d, (upper - p) / d
         across = d == 0
-        outside = (p < lower) | (p > upper)
+        outside = (p < lower - slack) | (p > upper + slack)
         low = np.where(across, np.where(outside, np.inf, -np.inf), np.minimum(one, other))
         high = np.where(across, np.where(outside, -np.inf, np.inf), np.maximum(one, other))
         enter, leave = np.maximum(enter, low), np.minimum(leave, high)

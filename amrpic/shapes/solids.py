@@ -18,6 +18,8 @@ from .spans import Floats, Spans
 INFINITE: tuple[Point, Point] = ((-math.inf,) * 3, (math.inf,) * 3)
 # Lines within this angle of a foil's plane, or of a cylinder's axis, count as parallel to it.
 PARALLEL = 1e-12
+# Of coordinates, in shares of the largest one of a body.
+ROUNDING = 1e-12
 
 
 class Convex(Shape):
@@ -95,7 +97,8 @@ class Box(Convex):
         return self.lower, self.upper
 
     def _ends(self, start: Columns, direction: Columns) -> tuple[Floats, Floats]:
-        return slabs(self.bounds, start, direction)
+        # Faces on planes of cell centres are common, and edges there may not hang on rounding.
+        return slabs(self.bounds, start, direction, ROUNDING * float(np.abs(self.bounds).max()))
 
     def _normals(self, points: Columns, surface: int) -> Columns:
         lower, upper = column(self.lower), column(self.upper)

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "base/constants.hpp"
 #include "matrixfree/composite_kernels.hpp"
 #include "stencil/boundary.hpp"
 #include "stencil/laplacian.hpp"
@@ -65,13 +66,75 @@ void SecondOrderResidual::residual_plane(int l, int b, int k, Source const& sour
   ghosts_.for_each_refined(l, b, k, cells, [&](std::ptrdiff_t at, int axis, int, Real excess) {
     plane_[std::size_t(at - k * plane)] -= formula.equation.weight[axis] * excess;
   });
+  mesh_.for_each_in_metal(
+      l, b, k,
+      [&](CutCell const& cut, CutRow const& row, std::ptrdiff_t at) {
+        Real sum = -row.diagonal * c[at];
+        for (std::size_t side = 0; side < 6; ++side)
+          if (row.neighbour[side] != 0) sum += row.neighbour[side] * value_beyond(l, b, cut.cell, side, cells);
+        plane_[std::size_t(at)] = row.scale * source.background.right_hand_side(rho[at]) - sum -
+                                  of_surfaces(l, b, cut, row, source);
+      },
+      [&](std::ptrdiff_t at, int) { plane_[std::size_t(at)] = 0; });
   mesh_.clear_covered(l, b, k, plane_.data());
+}
+
+/// The value of phi beyond a side of a cell of the box under way.
+Real SecondOrderResidual::value_beyond(int l, int b, Index3 const& cell, std::size_t side, Real const* cells) const {
+  Box const& own = mesh_.box(l, b);
+  int const axis = int(side) / 2, outward = side % 2 == 0 ? -1 : 1;
+  Index3 at = cell;
+  at[axis] += outward;
+  if (own.contains(at)) return cells[own.offset(at)];
+  auto const [u, v] = tangential_axes(axis);
+  return ghosts_.ghosts(axis, int(side) % 2)[(at[u] - own.lower[u]) + std::ptrdiff_t(own.extent(u)) * (at[v] - own.lower[v])];
+}
+
+/// The datum of the wall beyond a side of a cell, which lies at one.
+Real SecondOrderResidual::wall_datum(int l, int b, Index3 const& cell, std::size_t side,
+                                     std::vector<Walls> const& walls) const {
+  Box const& own = mesh_.box(l, b);
+  auto const [u, v] = tangential_axes(int(side) / 2);
+  std::ptrdiff_t const place = (cell[u] - own.lower[u]) + std::ptrdiff_t(own.extent(u)) * (cell[v] - own.lower[v]);
+  return walls[std::size_t(l)].datum[std::size_t(mesh_.plan(l, b).faces[side].wall + place)];
+}
+
+/// What the potentials of the surfaces beside a cut cell add to its Laplacian.
+Real SecondOrderResidual::of_surfaces(int l, int b, CutCell const& cut, CutRow const& row, Source const& source) const {
+  Real out = 0;
+  for (std::size_t side = 0; side < 6; ++side)
+    if (row.surface[side] != 0)
+      out += row.surface[side] * (cut.is_cut(side) ? source.potentials[std::size_t(cut.electrode[side])]
+                                                   : wall_datum(l, b, cut.cell, side, source.walls));
+  return out;
+}
+
+/// The same, and what walls add whose ghosts take part in it.
+Real SecondOrderResidual::of_data(int l, int b, CutCell const& cut, CutRow const& row, Source const& source) const {
+  Real out = of_surfaces(l, b, cut, row, source);
+  Box const& own = mesh_.box(l, b);
+  for (std::size_t side = 0; side < 6; ++side) {
+    int const axis = int(side) / 2;
+    bool const ends = cut.cell[axis] == (side % 2 == 0 ? own.lower : own.upper)[axis];
+    if (!ends || mesh_.plan(l, b).faces[side].wall < 0 || row.neighbour[side] == 0) continue;
+    Boundary const kind = mesh_.hierarchy().domain().boundary[axis][side % 2];
+    out += row.neighbour[side] * wall_ghost(kind, mesh_.level(l).spacing()[axis]).datum *
+           wall_datum(l, b, cut.cell, side, source.walls);
+  }
+  return out;
 }
 
 /// f less what wall data add to the Laplacian, of a plane of cells; zero in covered ones.
 void SecondOrderResidual::right_hand_side_plane(int l, int b, int k, Source const& source) {
   source_plane(l, b, k, source);
   for_each_wall_term(l, b, k, source, [&](std::ptrdiff_t at, Real term) { plane_[std::size_t(at)] -= term; });
+  Real const* const rho = source.rho.level(l).data() + mesh_.offset(l, b) + k * mesh_.box(l, b).stride(2);
+  mesh_.for_each_in_metal(
+      l, b, k,
+      [&](CutCell const& cut, CutRow const& row, std::ptrdiff_t at) {
+        plane_[std::size_t(at)] = row.scale * source.background.right_hand_side(rho[at]) - of_data(l, b, cut, row, source);
+      },
+      [&](std::ptrdiff_t at, int) { plane_[std::size_t(at)] = 0; });
   mesh_.clear_covered(l, b, k, plane_.data());
 }
 
@@ -95,6 +158,46 @@ void SecondOrderResidual::term_sizes_plane(int l, int b, int k, Source const& so
   source_sizes_plane(l, b, k, source);
   for_each_wall_term(l, b, k, source, [&](std::ptrdiff_t at, Real term) { plane_[std::size_t(at)] += std::abs(term); });
   mesh_.clear_covered(l, b, k, plane_.data());
+}
+
+std::vector<Real> SecondOrderResidual::charges(Field const& phi, std::vector<Walls> const& walls,
+                                               std::vector<Real> const& potentials) {
+  std::vector<Real> out(potentials.size());
+  visit(phi, walls, [&](int l, int b) {
+    Real const* const cells = phi.level(l).data() + mesh_.offset(l, b);
+    Box const& own = mesh_.box(l, b);
+    auto const add = [&](CutCell const& cut, CutRow const& row) {
+      for (std::size_t axis = 0; axis < 3; ++axis) {
+        std::array<Real, 2> arm{1, 1}, value;  // of both sides
+        for (std::size_t s = 0; s < 2; ++s) {
+          std::size_t const side = 2 * axis + s;
+          bool const is_surface = row.surface[side] != 0;
+          if (is_surface) arm[s] = cut.is_cut(side) ? cut.arm[side] : 0.5;
+          value[s] = !is_surface         ? value_beyond(l, b, cut.cell, side, cells)
+                     : cut.is_cut(side) ? potentials[std::size_t(cut.electrode[side])]
+                                         : wall_datum(l, b, cut.cell, side, walls);
+        }
+        Real const centre = cells[own.offset(cut.cell)];
+        for (std::size_t s = 0; s < 2; ++s) {
+          std::size_t const side = 2 * axis + s;
+          if (row.surface[side] == 0 || !cut.is_cut(side)) continue;
+          auto const factor = ArmPair{arm[0], arm[1]}.across(int(s));
+          Real const difference = factor[0] * value[0] + factor[1] * value[1] - factor[2] * centre;
+          out[std::size_t(cut.electrode[side])] +=
+              vacuum_permittivity * mesh_.volume(l) * mesh_.equation(l).weight[axis] * difference;
+        }
+      }
+    };
+    for (int k = 0; k < own.extent(2); ++k)
+      mesh_.for_each_in_metal(
+          l, b, k,
+          [&](CutCell const& cut, CutRow const& row, std::ptrdiff_t) {
+            if (!mesh_.is_covered(l, b, cut.cell)) add(cut, row);
+          },
+          [](std::ptrdiff_t, int) {});
+  });
+  mesh_.comm().sum_each(out);
+  return out;
 }
 
 /// Call f(cell, weight) for the weights that cells have in the fits in gaps for their own ghosts behind a face of a
@@ -157,6 +260,10 @@ void SecondOrderResidual::diagonal_plane(int l, int b, int k, Field const& phi) 
       });
     }
   }
+  mesh_.for_each_in_metal(
+      l, b, k,
+      [&](CutCell const&, CutRow const& row, std::ptrdiff_t at) { plane_[std::size_t(at)] = -row.diagonal * cells[at]; },
+      [&](std::ptrdiff_t at, int) { plane_[std::size_t(at)] = 0; });
   mesh_.clear_covered(l, b, k, plane_.data());
 }
 

@@ -28,14 +28,16 @@ std::string scientific(Real value) {
 }  // namespace
 
 PoissonSolver::PoissonSolver(std::shared_ptr<Hierarchy const> hierarchy, SolverOptions const& options,
-                             Reusable const& reusable)
+                             Reusable const& reusable, std::shared_ptr<Metal const> metal)
     : given_(std::move(hierarchy)),
       hierarchy_((options.across.axis < 0 ? given_ : given_->opened(options.across.axis))->stretched(options.stretch)),
       options_(options),
-      reusable_(reusable) {
+      reusable_(reusable),
+      metal_(std::move(metal)),
+      potentials_(metal_ ? std::size_t(metal_->electrodes()) : 0) {
   for (int l = 0; l < hierarchy_->level_count(); ++l)
     walls_.push_back(find_walls(hierarchy_->domain(), hierarchy_->level(l)));
-  Problem const problem{hierarchy_, options_, walls_};
+  Problem const problem{hierarchy_, options_, walls_, metal_, potentials_};
   if (options_.backend == BackendKind::crs)
     backend_ = make_crs_backend(problem, reusable_);
   else if (options_.backend == BackendKind::kokkos)
@@ -345,7 +347,7 @@ SolveReport PoissonSolver::solve(Field const& rho, Field& phi, bool from_zero, M
   if (images) nothing.emplace(rho.share_hierarchy());
   backend_->set_right_hand_side(images ? *nothing : rho);
   Removed removed{0, 0};
-  bool const leaves_mean = is_mean_left_free(hierarchy_->level(0), hierarchy_->domain().boundary, shift_of(options_));
+  bool const leaves_mean = !metal_ && is_mean_left_free(hierarchy_->level(0), hierarchy_->domain().boundary, shift_of(options_));
   if (leaves_mean) {
     removed = remove_net_charge(rho, deposited);
     if (!from_zero && options_.screening > 0) set_mean(phi, 0);

@@ -43,13 +43,18 @@ struct SolveReport {
 /// which everything below lives.
 class PoissonSolver {
  public:
-  /// `reusable`, if any, comes from a solver of the same options. Collective.
-  PoissonSolver(std::shared_ptr<Hierarchy const> hierarchy, SolverOptions const& options, Reusable const& reusable);
+  /// `reusable`, if any, comes from a solver of the same options; `metal`: null if there are no electrodes. Collective.
+  PoissonSolver(std::shared_ptr<Hierarchy const> hierarchy, SolverOptions const& options, Reusable const& reusable,
+                std::shared_ptr<Metal const> metal = nullptr);
   PoissonSolver(PoissonSolver const&) = delete;  // the cycle refers to the operators
   PoissonSolver& operator=(PoissonSolver const&) = delete;
 
   /// The wall faces of a level on this rank; their Dirichlet and Neumann data may be set before a solve.
   Walls& walls(int level) { return walls_[level]; }
+  /// The potentials of electrodes, V, zero before; a solve goes by them.
+  void set_potentials(std::vector<Real> const& potentials) { potentials_ = potentials; }
+  /// The charge on each electrode, C, in the potential that a solve left. Collective.
+  std::vector<Real> charges(Field const& phi) { return backend_->charges(phi); }
   /// Let open faces see the data that walls beside them hold now. Beyond its face a Dirichlet wall is at one of these
   /// potentials (V), wherever it goes on, and a Neumann wall has no slope. Local.
   void continue_walls(freespace::PerFace const& potentials);
@@ -106,6 +111,8 @@ class PoissonSolver {
   SolverOptions options_;
   Reusable reusable_;
   std::vector<Walls> walls_;
+  std::shared_ptr<Metal const> metal_;
+  std::vector<Real> potentials_;
   struct OpenFace {
     int level;
     std::size_t face;  ///< of the level's walls

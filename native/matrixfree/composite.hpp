@@ -85,8 +85,10 @@ class CompositeLaplacian {
     }
     average_down(phi);
   }
-  std::vector<Real> charges(Field const& phi, std::vector<Walls> const& walls, std::vector<Real> const& potentials) {
-    return residual_->charges(phi, walls, potentials);
+  /// See CompositeResidual. Collective.
+  void for_each_charge(Field const& phi, std::vector<Walls> const& walls, std::vector<Real> const& potentials,
+                       CompositeResidual::OfCharge const& f) {
+    residual_->for_each_charge(phi, walls, potentials, f);
   }
 
   /// Norm of the largest single term of the Laplacian, the diagonal one: what rounding is relative to. Collective.

@@ -160,44 +160,38 @@ void SecondOrderResidual::term_sizes_plane(int l, int b, int k, Source const& so
   mesh_.clear_covered(l, b, k, plane_.data());
 }
 
-std::vector<Real> SecondOrderResidual::charges(Field const& phi, std::vector<Walls> const& walls,
-                                               std::vector<Real> const& potentials) {
-  std::vector<Real> out(potentials.size());
+void SecondOrderResidual::for_each_charge(Field const& phi, std::vector<Walls> const& walls,
+                                          std::vector<Real> const& potentials, OfCharge const& f) {
   visit(phi, walls, [&](int l, int b) {
     Real const* const cells = phi.level(l).data() + mesh_.offset(l, b);
     Box const& own = mesh_.box(l, b);
-    auto const add = [&](CutCell const& cut, CutRow const& row) {
+    Equation const equation = mesh_.equation(l);
+    auto const act = [&](CutCell const& cut, CutRow const& row) {
+      if (mesh_.is_covered(l, b, cut.cell)) return;
+      std::size_t const place = std::size_t(own.offset(cut.cell));
       for (std::size_t axis = 0; axis < 3; ++axis) {
         std::array<Real, 2> arm{1, 1}, value;  // of both sides
-        for (std::size_t s = 0; s < 2; ++s) {
-          std::size_t const side = 2 * axis + s;
-          bool const is_surface = row.surface[side] != 0;
-          if (is_surface) arm[s] = cut.is_cut(side) ? cut.arm[side] : 0.5;
-          value[s] = !is_surface         ? value_beyond(l, b, cut.cell, side, cells)
-                     : cut.is_cut(side) ? potentials[std::size_t(cut.electrode[side])]
-                                         : wall_datum(l, b, cut.cell, side, walls);
+        for (std::size_t side = 2 * axis, s = 0; s < 2; ++side, ++s) {
+          bool const is_surface = row.surface[side] != 0, is_cut = is_surface && cut.is_cut(side);
+          if (is_surface) arm[s] = is_cut ? cut.arm[side] : 0.5;
+          value[s] = is_cut       ? potentials[std::size_t(cut.electrode[side])]
+                     : is_surface ? wall_datum(l, b, cut.cell, side, walls)
+                                  : value_beyond(l, b, cut.cell, side, cells);
         }
-        Real const centre = cells[own.offset(cut.cell)];
-        for (std::size_t s = 0; s < 2; ++s) {
-          std::size_t const side = 2 * axis + s;
+        for (std::size_t side = 2 * axis, s = 0; s < 2; ++side, ++s) {
           if (row.surface[side] == 0 || !cut.is_cut(side)) continue;
           auto const factor = ArmPair{arm[0], arm[1]}.across(int(s));
-          Real const difference = factor[0] * value[0] + factor[1] * value[1] - factor[2] * centre;
-          out[std::size_t(cut.electrode[side])] +=
-              vacuum_permittivity * mesh_.volume(l) * mesh_.equation(l).weight[axis] * difference;
+          Real const difference = factor[0] * value[0] + factor[1] * value[1] - factor[2] * cells[place];
+          f(l, std::size_t(mesh_.offset(l, b)) + place, cut.electrode[side],
+            vacuum_permittivity * mesh_.volume(l) * equation.weight[axis] * difference);
         }
       }
     };
     for (int k = 0; k < own.extent(2); ++k)
       mesh_.for_each_in_metal(
-          l, b, k,
-          [&](CutCell const& cut, CutRow const& row, std::ptrdiff_t) {
-            if (!mesh_.is_covered(l, b, cut.cell)) add(cut, row);
-          },
+          l, b, k, [&](CutCell const& cut, CutRow const& row, std::ptrdiff_t) { act(cut, row); },
           [](std::ptrdiff_t, int) {});
   });
-  mesh_.comm().sum_each(out);
-  return out;
 }
 
 /// Call f(cell, weight) for the weights that cells have in the fits in gaps for their own ghosts behind a face of a

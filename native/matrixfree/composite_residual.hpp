@@ -34,8 +34,10 @@ class CompositeResidual {
   IntegralOfSource integrate_right_hand_side(Source const& source);
   Real diagonal_norm(Field const& phi, Norm norm);
 
-  /// The charge on each electrode, C: the fluxes through the cut arms of uncovered cells. Collective.
-  virtual std::vector<Real> charges(Field const&, std::vector<Walls> const&, std::vector<Real> const&) { return {}; }
+  /// Call f(level, place, electrode, charge in C) for the arms of uncovered cells that metal cuts: what leaves its
+  /// surface through their faces. Collective.
+  using OfCharge = std::function<void(int, std::size_t, int, Real)>;
+  virtual void for_each_charge(Field const&, std::vector<Walls> const&, std::vector<Real> const&, OfCharge const&) {}
 
   std::size_t bytes() const { return plane_.capacity() * sizeof(Real); }
 
@@ -79,8 +81,8 @@ class SecondOrderResidual : public CompositeResidual {
   void right_hand_side_plane(int l, int b, int k, Source const& source) override;
   void term_sizes_plane(int l, int b, int k, Source const& source) override;
   void diagonal_plane(int l, int b, int k, Field const& phi) override;
-  std::vector<Real> charges(Field const& phi, std::vector<Walls> const& walls,
-                            std::vector<Real> const& potentials) override;
+  void for_each_charge(Field const& phi, std::vector<Walls> const& walls, std::vector<Real> const& potentials,
+                       OfCharge const& f) override;
   void visit(Field const& phi, std::vector<Walls> const& walls, std::function<void(int, int)> const& f) override {
     ghosts_.visit(phi, walls, FullyCovered::skip, f);
   }

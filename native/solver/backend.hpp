@@ -60,8 +60,10 @@ class Backend {
   virtual Real discretisation_error();
   /// Leave in phi what was found, means of the children in covered cells.
   virtual void finish() { composite_.fill_metal(problem_.potentials, *phi_); }
-  /// The charge on each electrode, C: what leaves its surface. Collective.
-  std::vector<Real> charges(Field const& phi) { return composite_.charges(phi, problem_.walls, problem_.potentials); }
+  /// See CompositeResidual, for a potential that is averaged down.
+  void for_each_charge(Field const& phi, CompositeResidual::OfCharge const& f) {
+    composite_.for_each_charge(phi, problem_.walls, problem_.potentials, f);
+  }
 
   /// E, -(1/s_d^2) d phi/dx_d (V/m); the potential must stay as it is.
   ElectricField electric_field(std::shared_ptr<Field const> potential, CoveredField covered) {

@@ -111,7 +111,8 @@ class CompositeLaplacian {
   /// E = -grad phi (V/m; over the stretch along each axis once more), from the fluxes through the faces. `potential`
   /// must be averaged down, and stay as it is. Collective.
   ElectricField electric_field(std::shared_ptr<Field const> potential, std::vector<Walls> const& walls,
-                               CoveredField covered) {
+                               CoveredField covered, std::vector<Real> const& potentials = {}) {
+    if (mesh_.metal()) return points_->field.beside_metal(*potential, walls, potentials, covered, average_);
     if (means_) return means_->field.electric_field(*potential, walls, covered, Holds::points);
     return points_->field.electric_field(std::move(potential), walls, covered);
   }

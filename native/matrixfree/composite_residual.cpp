@@ -71,32 +71,12 @@ void SecondOrderResidual::residual_plane(int l, int b, int k, Source const& sour
       [&](CutCell const& cut, CutRow const& row, std::ptrdiff_t at) {
         Real sum = -row.diagonal * c[at];
         for (std::size_t side = 0; side < 6; ++side)
-          if (row.neighbour[side] != 0) sum += row.neighbour[side] * value_beyond(l, b, cut.cell, side, cells);
+          if (row.neighbour[side] != 0) sum += row.neighbour[side] * ghosts_.value_beyond(l, b, cut.cell, int(side), cells);
         plane_[std::size_t(at)] = row.scale * source.background.right_hand_side(rho[at]) - sum -
                                   of_surfaces(l, b, cut, row, source);
       },
       [&](std::ptrdiff_t at, int) { plane_[std::size_t(at)] = 0; });
   mesh_.clear_covered(l, b, k, plane_.data());
-}
-
-/// The value of phi beyond a side of a cell of the box under way.
-Real SecondOrderResidual::value_beyond(int l, int b, Index3 const& cell, std::size_t side, Real const* cells) const {
-  Box const& own = mesh_.box(l, b);
-  int const axis = int(side) / 2, outward = side % 2 == 0 ? -1 : 1;
-  Index3 at = cell;
-  at[axis] += outward;
-  if (own.contains(at)) return cells[own.offset(at)];
-  auto const [u, v] = tangential_axes(axis);
-  return ghosts_.ghosts(axis, int(side) % 2)[(at[u] - own.lower[u]) + std::ptrdiff_t(own.extent(u)) * (at[v] - own.lower[v])];
-}
-
-/// The datum of the wall beyond a side of a cell, which lies at one.
-Real SecondOrderResidual::wall_datum(int l, int b, Index3 const& cell, std::size_t side,
-                                     std::vector<Walls> const& walls) const {
-  Box const& own = mesh_.box(l, b);
-  auto const [u, v] = tangential_axes(int(side) / 2);
-  std::ptrdiff_t const place = (cell[u] - own.lower[u]) + std::ptrdiff_t(own.extent(u)) * (cell[v] - own.lower[v]);
-  return walls[std::size_t(l)].datum[std::size_t(mesh_.plan(l, b).faces[side].wall + place)];
 }
 
 /// What the potentials of the surfaces beside a cut cell add to its Laplacian.
@@ -105,7 +85,7 @@ Real SecondOrderResidual::of_surfaces(int l, int b, CutCell const& cut, CutRow c
   for (std::size_t side = 0; side < 6; ++side)
     if (row.surface[side] != 0)
       out += row.surface[side] * (cut.is_cut(side) ? source.potentials[std::size_t(cut.electrode[side])]
-                                                   : wall_datum(l, b, cut.cell, side, source.walls));
+                                                   : ghosts_.wall_datum(l, b, cut.cell, int(side), source.walls));
   return out;
 }
 
@@ -119,7 +99,7 @@ Real SecondOrderResidual::of_data(int l, int b, CutCell const& cut, CutRow const
     if (!ends || mesh_.plan(l, b).faces[side].wall < 0 || row.neighbour[side] == 0) continue;
     Boundary const kind = mesh_.hierarchy().domain().boundary[axis][side % 2];
     out += row.neighbour[side] * wall_ghost(kind, mesh_.level(l).spacing()[axis]).datum *
-           wall_datum(l, b, cut.cell, side, source.walls);
+           ghosts_.wall_datum(l, b, cut.cell, int(side), source.walls);
   }
   return out;
 }
@@ -163,28 +143,18 @@ void SecondOrderResidual::term_sizes_plane(int l, int b, int k, Source const& so
 void SecondOrderResidual::for_each_charge(Field const& phi, std::vector<Walls> const& walls,
                                           std::vector<Real> const& potentials, OfCharge const& f) {
   visit(phi, walls, [&](int l, int b) {
-    Real const* const cells = phi.level(l).data() + mesh_.offset(l, b);
     Box const& own = mesh_.box(l, b);
     Equation const equation = mesh_.equation(l);
     auto const act = [&](CutCell const& cut, CutRow const& row) {
       if (mesh_.is_covered(l, b, cut.cell)) return;
       std::size_t const place = std::size_t(own.offset(cut.cell));
-      for (std::size_t axis = 0; axis < 3; ++axis) {
-        std::array<Real, 2> arm{1, 1}, value;  // of both sides
-        for (std::size_t side = 2 * axis, s = 0; s < 2; ++side, ++s) {
-          bool const is_surface = row.surface[side] != 0, is_cut = is_surface && cut.is_cut(side);
-          if (is_surface) arm[s] = is_cut ? cut.arm[side] : 0.5;
-          value[s] = is_cut       ? potentials[std::size_t(cut.electrode[side])]
-                     : is_surface ? wall_datum(l, b, cut.cell, side, walls)
-                                  : value_beyond(l, b, cut.cell, side, cells);
-        }
-        for (std::size_t side = 2 * axis, s = 0; s < 2; ++side, ++s) {
-          if (row.surface[side] == 0 || !cut.is_cut(side)) continue;
-          auto const factor = ArmPair{arm[0], arm[1]}.across(int(s));
-          Real const difference = factor[0] * value[0] + factor[1] * value[1] - factor[2] * cells[place];
-          f(l, std::size_t(mesh_.offset(l, b)) + place, cut.electrode[side],
-            vacuum_permittivity * mesh_.volume(l) * equation.weight[axis] * difference);
-        }
+      for (int axis = 0; axis < 3; ++axis) {
+        if (row.surface[2 * std::size_t(axis)] == 0 && row.surface[2 * std::size_t(axis) + 1] == 0) continue;
+        auto const line = ghosts_.line_through(l, b, cut, row, axis, phi, walls, potentials);
+        for (int side = 0; side < 2; ++side)
+          if (std::size_t const n = std::size_t(2 * axis + side); cut.is_cut(n) && row.surface[n] != 0)
+            f(l, std::size_t(mesh_.offset(l, b)) + place, cut.electrode[n],
+              vacuum_permittivity * mesh_.volume(l) * equation.weight[axis] * line.across(side));
       }
     };
     for (int k = 0; k < own.extent(2); ++k)

@@ -90,8 +90,6 @@ class SecondOrderResidual : public CompositeResidual {
   void for_each_wall_term(int l, int b, int k, Source const& source, F&& f) const;
   Real of_surfaces(int l, int b, CutCell const& cut, CutRow const& row, Source const& source) const;
   Real of_data(int l, int b, CutCell const& cut, CutRow const& row, Source const& source) const;
-  Real wall_datum(int l, int b, Index3 const& cell, std::size_t side, std::vector<Walls> const& walls) const;
-  Real value_beyond(int l, int b, Index3 const& cell, std::size_t side, Real const* cells) const;
   template <class F>
   void for_each_own_share_in_gaps(int l, int b, int face, F&& f) const;
 

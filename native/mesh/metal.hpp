@@ -23,7 +23,7 @@ struct CutCell {
 
 /// Its arm towards a side; `at_wall`: a wall of the domain ends it half-way, if no metal comes before.
 inline Arm arm_of(CutCell const& cut, std::size_t side, bool at_wall) {
-  if (!cut.is_cut(side) || (at_wall && cut.arm[side] >= 0.5)) return {};
+  if (!cut.is_cut(side) || (at_wall && cut.arm[side] >= wall_arm)) return {};
   return {cut.arm[side], true, 0, false};
 }
 

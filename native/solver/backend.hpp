@@ -67,7 +67,7 @@ class Backend {
 
   /// E, -(1/s_d^2) d phi/dx_d (V/m); the potential must stay as it is.
   ElectricField electric_field(std::shared_ptr<Field const> potential, CoveredField covered) {
-    return composite_.electric_field(std::move(potential), problem_.walls, covered);
+    return composite_.electric_field(std::move(potential), problem_.walls, covered, problem_.potentials);
   }
 
   /// The period of the step lengths, in cycles. Only a whole period reduces all error components equally.

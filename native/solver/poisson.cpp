@@ -12,6 +12,7 @@
 #include "operators/semicoarse.hpp"
 #include "solver/compressed_rows.hpp"
 #include "solver/kokkos_backend.hpp"
+#include "solver/metal_room.hpp"
 #include "solver/net_charge.hpp"
 
 namespace amrpic {
@@ -35,6 +36,7 @@ PoissonSolver::PoissonSolver(std::shared_ptr<Hierarchy const> hierarchy, SolverO
       reusable_(reusable),
       metal_(std::move(metal)),
       potentials_(metal_ ? std::size_t(metal_->electrodes()) : 0) {
+  if (metal_) require_room_around(*metal_, *hierarchy_, options_.stretch);
   for (int l = 0; l < hierarchy_->level_count(); ++l)
     walls_.push_back(find_walls(hierarchy_->domain(), hierarchy_->level(l)));
   Problem const problem{hierarchy_, options_, walls_, metal_, potentials_};
@@ -286,7 +288,7 @@ void PoissonSolver::iterate(SolveReport& report, Field& phi, bool from_zero, Rea
   else
     report.mesh_error = {};
   backend_->start(phi, from_zero);
-  static int const updates = std::getenv("UPD") ? std::atoi(std::getenv("UPD")) : 2;
+  constexpr int updates = 2;  // cycles after which open faces see the charge that these left on electrodes; one is too few
   constexpr Real hopeless = 1e10;  // residual of a guess that is of another order of magnitude than the answer
   // Cycles in a row that hardly moved the residual; since it was last well below all before; and that lowest one.
   int stuck = 0, since_lowest = 0;
@@ -386,6 +388,7 @@ SolveReport PoissonSolver::solve(Field const& rho, Field& phi, bool from_zero, M
   if (sees_metal()) {
     fixed_point_.clear();
     of_induced_.clear();
+    induced_change_ = 0;
     if (!from_zero) {
       stopwatch_.time("open boundary", [&] {
         of_induced_ = of_induced_charge(phi);

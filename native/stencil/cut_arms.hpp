@@ -32,6 +32,23 @@ struct ArmPair {
   }
 };
 
+/// What lies at the ends of a cell's arms along an axis, and in it.
+struct ArmValues {
+  ArmPair arms;
+  Real lower, upper, centre;
+
+  Real slope() const { return combined(arms.slope()); }  ///< at the centre, per spacing
+  /// The value one spacing beyond the centre less that at it.
+  Real across(int side) const { return combined(arms.across(side)); }
+
+ private:
+  Real combined(std::array<Real, 3> const& factor) const {
+    return factor[0] * lower + factor[1] * upper - factor[2] * centre;
+  }
+};
+
+constexpr Real wall_arm = 0.5;  ///< length of an arm to a wall of the domain
+
 /// The arm of a cell towards a side.
 struct Arm {
   Real length = 1;   ///< to the surface that cuts it; 1 where none does
@@ -57,7 +74,7 @@ inline CutRow cut_row(Equation const& equation, std::array<Arm, 6> const& arms) 
     std::array<Arm, 2> side{arms[2 * axis], arms[2 * axis + 1]};
     of_metal += equation.weight[axis] * ArmPair{side[0].length, side[1].length}.second_difference()[2];
     for (std::size_t s = 0; s < 2; ++s)  // its parabola would go through the surface
-      if (side[s].is_parabola && side[1 - s].is_cut) side[s] = {0.5, true, 0, false};
+      if (side[s].is_parabola && side[1 - s].is_cut) side[s] = {wall_arm, true, 0, false};
     auto const factor = ArmPair{side[0].length, side[1].length}.second_difference();
     Real const weight = equation.weight[axis];
     out.diagonal += weight * factor[2];

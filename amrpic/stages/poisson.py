@@ -147,7 +147,7 @@ class PoissonSolver:
             native.mirror_signs = [1 if plane is None else SIGNS[plane.kind] for plane in mirror.planes]
         kept = reuse.native if reuse is not None else _native.Reusable()
         try:
-            self.native = _native.PoissonSolver(hierarchy.native, native, kept, metal and metal.native())
+            self.native = _native.PoissonSolver(hierarchy.native, native, kept, None if metal is None else metal.native())
         except _native.SolverError as refused:
             raise SolverError(str(refused)) from None
         if metal is not None:

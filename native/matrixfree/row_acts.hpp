@@ -31,13 +31,41 @@ KOKKOS_INLINE_FUNCTION void for_each_cut(RowTable const& level, Row const& row, 
 
 /// Set what metal makes zero in a row of values.
 template <class Worker>
-KOKKOS_INLINE_FUNCTION void clear_solid(RowTable const& level, Row const& row, float* values, Worker const& worker) {
+[[gnu::noinline]] KOKKOS_INLINE_FUNCTION void clear_solid(RowTable const& level, Row const& row, float* values, Worker const& worker) {
   if (!level.has_metal(row)) return;
   MetalRow const& metal = level.metal_rows[row.metal];
   for (int n = 0; n < metal.solids; ++n) {
     SolidRun const run = level.solids[metal.first_solid + n];
     worker.for_each(run.count, [=](int i) { values[run.place + i] = 0; });
   }
+}
+
+// What is done to cut cells stays out of the loops over whole vectors.
+/// The values of the cut cells at places of some parity after a step, into `cut_values`.
+template <class Worker>
+[[gnu::noinline]] KOKKOS_INLINE_FUNCTION void relax_cut(RowTable const& level, Row const& row, int parity,
+                                                        CorrectionRow const& at, float const* right,
+                                                        Worker const& worker) {
+  for_each_cut(level, row, parity, worker, [&](CutPlace const& cut, int n) {
+    int const i = cut.place;
+    level.cut_values[n] = relaxed(level.keep, at.here[i], cut.step, level.sum(row, at, cut), right[i]);
+  });
+}
+/// These put in place.
+template <class Worker>
+[[gnu::noinline]] KOKKOS_INLINE_FUNCTION void place_cut(RowTable const& level, Row const& row, int parity, float* here,
+                                                        Worker const& worker) {
+  worker.barrier();
+  for_each_cut(level, row, parity, worker, [&](CutPlace const& cut, int n) { here[cut.place] = level.cut_values[n]; });
+}
+template <class Worker>
+[[gnu::noinline]] KOKKOS_INLINE_FUNCTION void relax_cut_from_zero(RowTable const& level, Row const& row, int parity,
+                                                                  float const* right, float* here,
+                                                                  Worker const& worker) {
+  worker.barrier();
+  for_each_cut(level, row, parity, worker, [&](CutPlace const& cut, int) {
+    here[cut.place] = relaxed_from_zero(cut.step, right[cut.place]);
+  });
 }
 
 /// One colour of a row relaxed. Cut cells take no part in what is done to whole vectors: as cells of one colour do not
@@ -48,11 +76,7 @@ KOKKOS_INLINE_FUNCTION void relax(RowTable const& level, Row const& row, int col
   int const parity = (row.parity + colour) & 1;
   CorrectionRow const at = level.correction<lanes>(row, e, composed);
   float const *const right = r + row.place, *const step = level.step(row, parity);
-  if (level.has_metal(row))
-    for_each_cut(level, row, parity, worker, [&](CutPlace const& cut, int n) {
-      int const i = cut.place;
-      level.cut_values[n] = relaxed(level.keep, at.here[i], cut.step, level.sum(row, at, cut), right[i]);
-    });
+  if (level.has_metal(row)) relax_cut(level, row, parity, at, right, worker);
   if constexpr (Worker::has_vectors)
     relax<lanes, isotropic>(at, level.weight, right, step, level.keep, parity);
   else
@@ -60,11 +84,7 @@ KOKKOS_INLINE_FUNCTION void relax(RowTable const& level, Row const& row, int col
       int const i = 2 * half + parity;
       at.here[i] = relaxed(level.keep, at.here[i], step[i], level.sum(row, at, i), right[i]);
     });
-  if (level.has_metal(row)) {
-    worker.barrier();
-    for_each_cut(level, row, parity, worker,
-                 [&](CutPlace const& cut, int n) { at.here[cut.place] = level.cut_values[n]; });
-  }
+  if (level.has_metal(row)) place_cut(level, row, parity, at.here, worker);
 }
 
 /// The same from zero: the other colour becomes zero.
@@ -78,11 +98,7 @@ KOKKOS_INLINE_FUNCTION void relax_from_zero(RowTable const& level, Row const& ro
     relax_from_zero<lanes>(here, right, step, row.pitch / lanes);
   else
     worker.for_each(row.pitch, [=](int i) { here[i] = relaxed_from_zero(step[i], right[i]); });
-  if (!level.has_metal(row)) return;
-  worker.barrier();
-  for_each_cut(level, row, parity, worker, [&](CutPlace const& cut, int) {
-    here[cut.place] = relaxed_from_zero(cut.step, right[cut.place]);
-  });
+  if (level.has_metal(row)) relax_cut_from_zero(level, row, parity, right, here, worker);
 }
 
 constexpr int chunk = 256;  ///< cells of a row of which a thread of the host has residuals in flight
@@ -123,7 +139,7 @@ struct ChildRow {
 };
 
 /// Residuals of some cells of a row, set as if there were no metal: those of cut and solid cells.
-inline void residuals_beside_metal(RowTable const& level, Row const& row, CorrectionRow const& at, float const* r,
+[[gnu::noinline]] inline void residuals_beside_metal(RowTable const& level, Row const& row, CorrectionRow const& at, float const* r,
                                    int first, int count, float* left) {
   MetalRow const& metal = level.metal_rows[row.metal];
   for (int n = metal.first_cut; n < metal.first_cut + metal.cuts[0] + metal.cuts[1]; ++n) {

@@ -1,9 +1,9 @@
 """Arms that metal cuts: against a search along each arm, for any boxes, and at ties."""
 
-import bodies
 import numpy as np
 import pytest
 
+import bodies
 from amrpic import Electrode, shapes
 from amrpic.conductors.arms import SIDES, arms_of_boxes, cut_arms, sentence
 from amrpic.errors import InputError

@@ -67,6 +67,8 @@ ORDER = (
     "isa",
     "_native",
     "units",
+    "shapes",
+    "conductors",
     "html",
     "failure",
     "progress",

@@ -100,7 +100,7 @@ class Walls(NamedTuple):
 
     cut: Ints  # (m,) row of the cut cell in `CutArms`
     side: Ints  # (m,) 0 to 5
-    index: Ints  # (m, 3) of the cell
+    cells: Ints  # (m, 3) index of the cell
     place: Floats  # (m, 3) m
     normal: Floats  # (m, 3) unit vector out of the metal
 

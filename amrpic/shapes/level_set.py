@@ -87,7 +87,7 @@ class LevelSet(Shape):
         root[inner] = roots_between(along, *ends, value[low[inner], at])
         return lines[number[::2]], root[::2], root[1::2]
 
-    def _normals(self, points: Columns, surface: int) -> Columns:
+    def _normals(self, points: Columns, surface: Ints) -> Columns:
         size = np.subtract(self.upper, self.lower)
         lower, upper = (np.array(corner)[:, None] for corner in self.bounds)
         step = STEP * float(np.sqrt((size**2).sum()))
@@ -106,4 +106,4 @@ class LevelSet(Shape):
         lower, upper = (np.array(corner)[:, None] for corner in self.bounds)
         gap = np.minimum(points - lower, upper - points) / (upper - lower)
         cut = (gap.min(axis=0) < 1e-12) & (self._value(points) < 0)
-        return np.where(cut, Box(self.lower, self.upper)._normals(points, 0), slopes)
+        return np.where(cut, Box(self.lower, self.upper)._normals(points, np.zeros(1, np.int64)), slopes)

@@ -80,7 +80,7 @@ class Revolved(Shape):
         surface, signs = (np.repeat([part[column] for part in parts], count) for column in (3, 4))
         return swept(line, enter, leave, (surface, surface), signs, np.zeros_like(signs))
 
-    def _normals(self, points: Columns, surface: int) -> Columns:
+    def _normals(self, points: Columns, surface: Ints) -> Columns:
         """Return those of the edge that is nearest: an end of a strip may be an edge across the axis."""
         offset, unit = points - column(self.origin), column(self.axis)
         height = dot(unit, offset)

@@ -55,8 +55,8 @@ class Shape(ABC):
     def _spans(self, start: Columns, direction: Columns) -> Spans: ...
 
     @abstractmethod
-    def _normals(self, points: Columns, surface: int) -> Columns:
-        """Return vectors, of any length, normal to a surface near points on it, of either sign."""
+    def _normals(self, points: Columns, surface: Ints) -> Columns:
+        """Return vectors, of any length and either sign, normal at points to the surface that each lies on."""
 
     def spans(self, start: ArrayLike, direction: ArrayLike | int) -> Spans:
         """Return where lines are in the body: `start` (n, 3) + parameter · `direction` (n, 3) or (3,).
@@ -99,12 +99,9 @@ class Shape(ABC):
     def normals(self, points: ArrayLike, surface: ArrayLike, direction: ArrayLike) -> Floats:
         """Return unit normals (n, 3) at points on the body's surfaces, against the directions by which these are met."""
         places, vectors = columns("points", points), columns("direction", direction)
-        numbers = np.broadcast_to(np.asarray(surface), places.shape[1])
-        normals = np.zeros_like(places)
+        numbers = np.broadcast_to(np.asarray(surface, np.int64), places.shape[1])
         with np.errstate(all="ignore"):
-            for number in np.unique(numbers):
-                chosen = numbers == number
-                normals[:, chosen] = self._normals(places[:, chosen], int(number))
+            normals = self._normals(places, numbers)
             normals = normals / np.sqrt(dot(normals, normals))
             normals[:, ~np.isfinite(normals[0])] = 0.0  # the tip of a cone, the centre of a sphere
             return np.ascontiguousarray((normals * np.where(dot(normals, vectors) > 0, -1.0, 1.0)).T)
@@ -187,12 +184,13 @@ class Combination(Shape):
         bodies[len(bodies) - holes :] = [body.select(body.enter < body.leave) for body in bodies[len(bodies) - holes :]]
         return combined(bodies, [part.surfaces for part in self.parts], needed, holes)
 
-    def _normals(self, points: Columns, surface: int) -> Columns:
+    def _normals(self, points: Columns, surface: Ints) -> Columns:
+        normals, first = np.zeros_like(points), 0
         for part in self.parts:
-            if surface < part.surfaces:
-                return part._normals(points, surface)
-            surface -= part.surfaces
-        raise IndexError(surface)
+            own = np.flatnonzero((first <= surface) & (surface < first + part.surfaces))
+            normals[:, own] = part._normals(points[:, own], surface[own] - first)
+            first += part.surfaces
+        return normals
 
 
 def _of_part(part: Shape, start: Columns, direction: Columns) -> Spans:
@@ -262,7 +260,7 @@ class Placed(Shape):
             self._inwards(direction),
         )
 
-    def _normals(self, points: Columns, surface: int) -> Columns:
+    def _normals(self, points: Columns, surface: Ints) -> Columns:
         normals = self.shape._normals(self._inwards(points - np.array(self.offset)[:, None]), surface)
         return np.stack([sum(w * n for w, n in zip(row, normals, strict=True)) for row in self.inverse.T])
 

@@ -1,9 +1,9 @@
 """Arms that metal cuts: against a search along each arm, for any boxes, and at ties."""
 
-import bodies
 import numpy as np
 import pytest
 
+import bodies
 from amrpic import Electrode, shapes
 from amrpic.conductors.arms import SIDES, arms_of_boxes, cut_arms, sentence
 from amrpic.errors import InputError
@@ -78,7 +78,7 @@ def everywhere(boxes):
     """Return what is known of each cell of the level, from several boxes."""
     arms, contacts = arms_of_boxes(SCENE, boxes, ORIGIN, SPACING)
     assert not contacts
-    known = {}
+    known: dict[tuple[int, ...], bytes] = {}
     for number, box in enumerate(np.array(boxes)):
         own, size = arms.of_box(number), box[3:] - box[:3] + 1
         rows = np.column_stack([own.theta, own.electrode, own.surface])
@@ -99,7 +99,7 @@ def test_digits_do_not_depend_on_boxes(size):
         for i in starts[0]
     ]
     assert everywhere(boxes) == whole and len(whole) > 500
-    alone = {}
+    alone: dict[tuple[int, ...], bytes] = {}
     for box in boxes[::-1]:
         alone |= everywhere([box])
     assert alone == whole
@@ -166,7 +166,7 @@ TOUCHING = {
     "face to face": (shapes.Box((1, 1, 1), (4, 4, 4)), shapes.Box((4, 1, 1), (6, 4, 4))),
     "overlapping": (shapes.Sphere((4, 5, 5), 2), shapes.Sphere((7, 5, 5), 2)),
     "one in the other": (shapes.Sphere((5, 5, 5), 3), shapes.Sphere((5, 5, 5), 1)),
-    "a foil on a box": (shapes.Box((1, 1, 1), (4, 4, 4)), shapes.Disk((2, 2, 4), "z", 1)),
+    "a foil on a box": (shapes.Box((1, 1, 1), (4, 4, 4)), shapes.Disk((2, 2, 4), (0, 0, 1), 1)),
     "less than a cell": (shapes.Box((1, 1, 1), (4.02, 4, 4)), shapes.Box((4.01, 1, 1), (6, 4, 4))),
 }
 

@@ -29,7 +29,7 @@ class Mesh(Shape):
     more than 5 % of the surface are refused. With `foil` the triangles themselves are metal, of no thickness.
     """
 
-    path: str | os.PathLike[str] = field(compare=False)
+    path: str | os.PathLike[str] | Floats = field(compare=False)
     unit: str = field(default="m", compare=False)
     foil: bool = False
     digest: str = field(init=False, repr=False)

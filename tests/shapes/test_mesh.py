@@ -1,4 +1,4 @@
-"""Bodies of triangles: against bodies with formulas, for any order of triangles, with defects, and files that cannot be used."""
+"""Bodies of triangles: against formulas, for any order of triangles, with defects, and files that cannot be used."""
 
 import pickle
 import re
@@ -149,7 +149,7 @@ def test_defects_are_repaired(name):
 def test_small_holes_are_closed_and_reported():
     triangles = stl.sphere(16)
     middle = triangles.mean(axis=1)
-    gone = np.linalg.norm(middle - (0, 0.98, 0.1), axis=1).argsort()[:2].tolist() + [500]
+    gone = [*np.linalg.norm(middle - (0, 0.98, 0.1), axis=1).argsort()[:2].tolist(), 500]
     mesh = shapes.Mesh(np.delete(triangles, gone, axis=0))
     report = mesh.report
     lost = triangles[gone]

@@ -140,15 +140,18 @@ def arms_of_boxes(
     """
     lattice = Lattice.of(origin, spacing)
     cells = GrownBoxes.around(np.reshape(np.asarray(boxes, np.int64), (-1, 6)))
-    owner = np.full(cells.total, -1, np.int32)
+    owner, axes = np.full(cells.total, -1, np.int32), np.zeros(cells.total, np.uint8)
     crossings: list[Crossings] = []
     lines: list[list[Traced]] = [[] for _ in electrodes]
     for number in reversed(range(len(electrodes))):  # so that the first ones come last, and stay
         for axis in range(3):
             traced = trace(electrodes[number].shape, cells, lattice, axis)
             lines[number].append(traced)
-            owner[traced.solid_cells(cells, lattice)] = number
+            solid = traced.solid_cells(cells, lattice)
+            owner[solid] = number
+            axes[solid] |= 1 << axis
             crossings += traced.crossings(cells, lattice, number)
+    crossings.append(unseen(cells, owner, axes))
     return assembled(cells, owner, crossings), list(contacts(electrodes, lines, lattice))
 
 
@@ -305,7 +308,7 @@ def trace(shape: Shape, cells: GrownBoxes, lattice: Lattice, axis: int) -> Trace
 def assembled(cells: GrownBoxes, owner: NDArray[np.int32], crossings: Sequence[Crossings]) -> CutArms:
     """Return solid and cut cells of boxes, from the electrode that owns each cell of the grown ones and from crossings."""
     empty = Crossings(np.empty(0, np.int64), np.empty(0), np.empty(0, np.int32), np.empty(0, np.int64))
-    columns = [np.concatenate(column) for column in zip(empty, *crossings, beside(cells, owner), strict=True)]
+    columns = [np.concatenate(column) for column in zip(empty, *crossings, strict=True)]
     fluid = owner[columns[0] // 6] < 0
     arm, theta, electrode, surface = (column[fluid] for column in columns)
     order = np.lexsort((-surface, electrode, theta, arm))
@@ -333,27 +336,24 @@ def assembled(cells: GrownBoxes, owner: NDArray[np.int32], crossings: Sequence[C
     )
 
 
-def beside(cells: GrownBoxes, owner: NDArray[np.int32]) -> Crossings:
-    """Return all arms that end at a centre in metal: cut there at the latest, also where rounding hides the surface."""
-    metal = owner >= 0
-    arms, owners = [np.empty(0, np.int64)], [np.empty(0, np.int32)]
-    for number in range(len(cells.lower)):
-        x, y, z = cells.upper[number] - cells.lower[number] + 1
-        box = metal[cells.first[number] : cells.first[number + 1]]
-        if not box.any() or box.all():
-            continue
-        solid = box.reshape(z, y, x)
-        centre = ~solid[1:-1, 1:-1, 1:-1]
-        for axis in range(3):
-            for upwards in (False, True):
-                part = [slice(1, -1)] * 3
-                part[2 - axis] = slice(2, None) if upwards else slice(0, -2)
-                k, j, i = np.nonzero(centre & solid[tuple(part)])
-                cell = cells.first[number] + (i + 1) + x * ((j + 1) + y * (k + 1))
-                arms.append(6 * cell + 2 * axis + upwards)
-                owners.append(owner[cell + (1 if upwards else -1) * cells.stride[number, axis]])
-    arm = np.concatenate(arms)
-    return Crossings(arm, np.ones(len(arm)), np.concatenate(owners), np.full(len(arm), -1))
+def unseen(cells: GrownBoxes, owner: NDArray[np.int32], axes: NDArray[np.uint8]) -> Crossings:
+    """Return arms that end at a centre in metal where rounding hides the surface: cut at their end.
+
+    `axes` has a bit for each axis along which a line found the cell in metal. Where the line along an arm did, it
+    also found where it enters.
+    """
+    metal = np.flatnonzero((axes > 0) & (axes < 7))
+    metal, side = np.repeat(metal, 6), np.tile(np.arange(6), len(metal))
+    hidden = (axes[metal] >> side // 2) & 1 == 0
+    metal, side = metal[hidden], side[hidden]
+    box = np.searchsorted(cells.first, metal, side="right") - 1
+    # A cell that has the metal on its upper side lies below it.
+    neighbour = metal + np.where(side % 2 == 1, -1, 1) * cells.stride[box, side // 2]
+    within = (neighbour >= cells.first[box]) & (neighbour < cells.first[box + 1])
+    metal, side, neighbour = metal[within], side[within], neighbour[within]
+    inner = cells.decoded(neighbour)[2]
+    arm = 6 * neighbour[inner] + side[inner]
+    return Crossings(arm, np.ones(len(arm)), owner[metal[inner]], np.full(len(arm), -1))
 
 
 def contacts(electrodes: Sequence[Conductor], lines: Sequence[Sequence[Traced]], lattice: Lattice) -> Iterator[Contact]:

@@ -15,6 +15,7 @@ from .solids import set_fields
 from .spans import Floats, Ints, Spans
 
 LINES_AT_ONCE = 4096
+TINY = 1e-300
 STEP = 1e-6  # of differences for normals, in diagonals of the box
 
 
@@ -53,7 +54,7 @@ class LevelSet(Shape):
             raise InputError(
                 f"LevelSet: its function is not a number at ({x:g}, {y:g}, {z:g}) m; make it finite in the whole box"
             )
-        return value
+        return np.where(value == 0, -TINY, value)  # where it is zero over a stretch, the body ends where that does
 
     def _spans(self, start: Columns, direction: Columns) -> Spans:
         enter, leave = slabs(self.bounds, start, direction)

@@ -16,6 +16,7 @@ struct ShearedLine {
   Real3 start, direction;
   int along, u, v;  ///< right-handed in the order u, v, along
   Real slope_u, slope_v;
+  Real3 inverse;
 
   ShearedLine(Real const* from, Real const* way) {
     for (int d = 0; d < 3; ++d) start[d] = from[d], direction[d] = way[d];
@@ -23,6 +24,7 @@ struct ShearedLine {
     for (int d = 1; d < 3; ++d)
       if (std::abs(direction[d]) > std::abs(direction[along])) along = d;
     u = (along + 1) % 3, v = (along + 2) % 3;
+    for (int d = 0; d < 3; ++d) inverse[d] = 1 / direction[d];
     slope_u = direction[u] / direction[along], slope_v = direction[v] / direction[along];
   }
 
@@ -44,7 +46,7 @@ struct ShearedLine {
         if (low > 0 || high < 0) return false;
         continue;
       }
-      Real const one = low / direction[d], other = high / direction[d];
+      Real const one = low * inverse[d], other = high * inverse[d];
       first = std::max(first, std::min(one, other)), last = std::min(last, std::max(one, other));
     }
     return first <= last;

@@ -228,3 +228,32 @@ def test_coarse_spacings_see_the_same_surface():
         places.append(arms.crossings(ball, box, -0.9, 1.8 / 27 * factor).place)
     gaps = np.linalg.norm(places[1][:, None] - places[0], axis=2).min(axis=1)
     assert gaps.max() < 1e-12
+
+
+def rough_box(rng):
+    """Return a body on planes of centres, but for rounding, and without the slack of `Box`."""
+    low = rng.integers(1, 6, 3) + 0.5
+    high = low + rng.integers(1, 4, 3)
+    middle, half = (low + high) / 2, (high - low) / 2 * (1 + rng.integers(-2, 3, 3) * 1e-16)
+
+    def outside(x, y, z):
+        return np.maximum.reduce([abs(v - m) - h for v, m, h in zip((x, y, z), middle, half, strict=True)])
+
+    return shapes.LevelSet(outside, (0.0,) * 3, (10.0,) * 3)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_arms_that_end_in_metal_are_cut_whatever_rounding_says(seed):
+    rng = np.random.default_rng(seed)
+    body = rough_box(rng) | (rough_box(rng) - rough_box(rng))
+    arms = cut_arms(metal(body), (0, 0, 0), (10, 10, 10), 0.0, 1.0)
+    solid, theta = dense(arms, 1000)
+    solid, theta = solid.reshape(10, 10, 10), theta.reshape(10, 10, 10, 6)
+    assert solid.any() and ((theta > 0) & (theta <= 1) | np.isinf(theta)).all()
+    for side, (i, j, k) in enumerate(STEPS):
+        ends_in_metal = np.roll(solid, (-k, -j, -i), axis=(0, 1, 2))
+        assert np.array_equal(np.isfinite(theta[..., side]), ends_in_metal & ~solid)
+    parts = [[i, j, k, i + 4, j + 1, k + 9] for k in (0,) for j in range(0, 10, 2) for i in (0, 5)]
+    split, _ = arms_of_boxes(metal(body), parts, 0.0, 1.0)
+    assert len(split.solid) == len(arms.solid) and len(split.cell) == len(arms.cell)
+    assert np.array_equal(np.sort(split.theta, axis=None), np.sort(arms.theta, axis=None))

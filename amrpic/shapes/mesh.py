@@ -15,8 +15,8 @@ from .. import _native
 from ..errors import InputError
 from ..units import UNITS
 from .checks import Point
-from .shape import Columns, Shape
-from .solids import ROUNDING, set_fields
+from .shape import ROUNDING, Columns, Shape
+from .solids import set_fields
 from .spans import Floats, Ints, Spans, swept_ends
 from .triangles import Report, Surface, as_foil, closed, read_stl
 

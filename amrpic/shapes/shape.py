@@ -17,8 +17,10 @@ from .checks import Point
 from .spans import Floats, Ints, Spans, combined
 
 Columns = Floats  # (3, n): x, y and z of points or vectors
+# Of coordinates, in shares of the largest one of a body.
+ROUNDING = 1e-12
 # Rounding of a turn by a right angle.
-ROUNDING = 4e-16
+OF_TURNS = 4e-16
 
 
 def dot(a: Columns, b: Columns) -> Floats:
@@ -75,26 +77,37 @@ class Shape(ABC):
 
     def inside(self, points: ArrayLike) -> NDArray[np.bool_]:
         """Return which points (n, 3) lie in the body or on its surface."""
-        points = np.reshape(np.asarray(points, float), (-1, 3))
-        spans = self.spans(points, 0)
-        x = points[spans.line, 0]
-        inside = np.zeros(len(points), bool)
-        inside[spans.line[(spans.enter <= x) & (x <= spans.leave)]] = True
+        places = columns("points", points).T
+        near = self._near(places, places)
+        spans = self.spans(places[near], 0)
+        x = places[near[spans.line], 0]
+        inside = np.zeros(len(places), bool)
+        inside[near[spans.line[(spans.enter <= x) & (x <= spans.leave)]]] = True
         return inside
 
     def first_hits(self, start: ArrayLike, end: ArrayLike) -> Hits:
         """Return where segments between points (n, 3) first meet the body; at once, if they start in it."""
-        begins = columns("start", start).T
-        ways = columns("end", end).T - begins
+        begins, ends = columns("start", start).T, columns("end", end).T
+        near = self._near(begins, ends)
+        begins, ways = begins[near], ends[near] - begins[near]
+        rests = ~ways.any(axis=1)
+        ways[rests, 0] = 1.0
         spans = self.spans(begins, ways)
-        spans = spans.select((spans.leave >= 0) & (spans.enter <= 1))
+        spans = spans.select((spans.leave >= 0) & (spans.enter <= np.where(rests, 0.0, 1.0)[spans.line]))
         segment, place = np.unique(spans.line, return_index=True)
         enter, share = spans.enter[place], np.maximum(spans.enter[place], 0.0)
         met = np.where(enter >= 0, enter, spans.leave[place])  # whichever end of the span is nearer, for a start inside
         points = begins[segment] + met[:, None] * ways[segment]
         surface = np.where(enter >= 0, spans.first[place], spans.last[place])
         towards = np.where(enter >= 0, 1.0, -1.0)[:, None] * ways[segment]
-        return Hits(segment, share, self.normals(points, surface, towards))
+        return Hits(near[segment], share, self.normals(points, surface, towards))
+
+    def _near(self, start: Floats, end: Floats) -> Ints:
+        """Return which segments between points (n, 3) may meet the box around it."""
+        lower, upper = (np.array(corner) for corner in self.bounds)
+        margin = ROUNDING * np.abs([lower, upper]).max(initial=0.0, where=np.isfinite([lower, upper]))
+        apart = (np.minimum(start, end) > upper + margin) | (np.maximum(start, end) < lower - margin)
+        return np.flatnonzero(~apart.any(axis=1))
 
     def normals(self, points: ArrayLike, surface: ArrayLike, direction: ArrayLike) -> Floats:
         """Return unit normals (n, 3) at points on the body's surfaces, against the directions by which these are met."""
@@ -150,7 +163,7 @@ def rotation(axis: Point, angle: float) -> Floats:
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     matrix = np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * (cross @ cross)
     nearest = np.round(matrix)
-    return np.where(abs(matrix - nearest) < ROUNDING, nearest, matrix) + 0.0
+    return np.where(abs(matrix - nearest) < OF_TURNS, nearest, matrix) + 0.0
 
 
 Kind = Literal["union", "intersection", "difference"]
@@ -236,7 +249,7 @@ class Placed(Shape):
     def __post_init__(self) -> None:
         inverse = np.linalg.inv(np.array(self.matrix))
         nearest = np.round(inverse)
-        object.__setattr__(self, "inverse", np.where(abs(inverse - nearest) < ROUNDING, nearest, inverse) + 0.0)
+        object.__setattr__(self, "inverse", np.where(abs(inverse - nearest) < OF_TURNS, nearest, inverse) + 0.0)
 
     @property
     def surfaces(self) -> int:

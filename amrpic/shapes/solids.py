@@ -12,14 +12,12 @@ import numpy as np
 from ..errors import InputError
 from . import checks
 from .checks import Point
-from .shape import Columns, Shape, dot, slabs
+from .shape import ROUNDING, Columns, Shape, dot, slabs
 from .spans import Floats, Ints, Spans
 
 INFINITE: tuple[Point, Point] = ((-math.inf,) * 3, (math.inf,) * 3)
 # Lines within this angle of a foil's plane, or of a cylinder's axis, count as parallel to it.
 PARALLEL = 1e-12
-# Of coordinates, in shares of the largest one of a body.
-ROUNDING = 1e-12
 
 
 class Convex(Shape):

@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.spatial import cKDTree
 
 from ..shapes.spans import Ints
 from .arms import Conductor, Lattice, Walls, arms_of_boxes
@@ -53,7 +53,7 @@ def within(box: Ints, cells: Sequence[Ints]) -> Ints:
 
 def bent(walls: Walls, places: np.ndarray, cosine: float) -> Ints:
     """Return the cells (n, 3) of places on the metal between which its normal turns outwards."""
-    pairs = cKDTree(places).query_pairs(REACH, output_type="ndarray")
+    pairs = scipy.spatial.cKDTree(places).query_pairs(REACH, output_type="ndarray")
     one, other = pairs.T
     turns = (walls.normal[one] * walls.normal[other]).sum(axis=1)
     spreads = ((walls.normal[other] - walls.normal[one]) * (places[other] - places[one])).sum(axis=1)

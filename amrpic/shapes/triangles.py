@@ -8,10 +8,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import breadth_first_order, connected_components
-from scipy.spatial import cKDTree
 
 from .. import _native
 from ..errors import InputError
@@ -177,15 +175,21 @@ def welded(corners: Floats) -> tuple[Floats, Ints]:
     loose = np.unique(open_edges(triangles)[0])
     if len(loose):
         size = float(np.linalg.norm(np.ptp(points, axis=0)))
-        pairs = cKDTree(points[loose]).query_pairs(SAME * size, output_type="ndarray")
+        pairs = scipy.spatial.cKDTree(points[loose]).query_pairs(SAME * size, output_type="ndarray")
         if len(pairs):
-            links = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(loose), len(loose)))
-            _, group = connected_components(links, directed=False)
+            _, group = groups(pairs, len(loose))
             _, first = np.unique(group, return_index=True)
             to = np.arange(len(points))
             to[loose] = loose[first[group]]
             triangles = to[triangles]
     return points, triangles
+
+
+def groups(pairs: Ints, count: int) -> tuple[int, Ints]:
+    """Return how many groups pairs (n, 2) join `count` things to, and the group of each."""
+    links = scipy.sparse.coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    number, group = scipy.sparse.csgraph.connected_components(links, directed=False)
+    return int(number), group
 
 
 def edges_of(triangles: Ints) -> Ints:
@@ -218,14 +222,14 @@ def oriented(triangles: Ints) -> tuple[Ints, Ints]:
     n = len(triangles)
     # 1: they agree, 2: they do not; each pair of triangles once.
     keys, first = np.unique(np.minimum(one, other) * n + np.maximum(one, other), return_index=True)
-    links = coo_matrix((np.where(against[first], 2, 1), (keys // n, keys % n)), shape=(n, n)).tocsr()
+    links = scipy.sparse.coo_matrix((np.where(against[first], 2, 1), (keys // n, keys % n)), shape=(n, n)).tocsr()
     links = links + links.T
-    pieces, piece = connected_components(links, directed=False)
+    pieces, piece = scipy.sparse.csgraph.connected_components(links, directed=False)
     turned = np.zeros(n, bool)
     wrong = np.zeros(pieces, bool)
     wrong[piece[one[against]]] = True
     for start in np.unique(piece, return_index=True)[1][wrong]:
-        order, before = breadth_first_order(links, start, directed=False)
+        order, before = scipy.sparse.csgraph.breadth_first_order(links, start, directed=False)
         if len(order) > 1:
             differs = np.asarray(links[before[order[1:]], order[1:]]).ravel() == 2
             for triangle, parent, differ in zip(order[1:], before[order[1:]], differs, strict=True):
@@ -261,13 +265,12 @@ def filled(points: Floats, triangles: Ints) -> tuple[Floats, Ints, int, int]:
         return np.empty((0, 3, 3)), np.empty(0, np.int64), 0, 0
     corners, number = np.unique(edges, return_inverse=True)
     number = number.reshape(-1, 2)
-    links = coo_matrix((np.ones(len(edges)), (number[:, 0], number[:, 1])), shape=(len(corners),) * 2)
-    holes, hole = connected_components(links, directed=False)
+    holes, hole = groups(number, len(corners))
     hole = hole[number[:, 0]]
     ends = points[edges]
     sums = np.stack([np.bincount(hole, ends.mean(axis=1)[:, axis], holes) for axis in range(3)], axis=1)
     middle = sums / np.bincount(hole, minlength=holes)[:, None]
-    return np.stack([ends[:, 1], ends[:, 0], middle[hole]], axis=1), excess, int(holes), len(edges)
+    return np.stack([ends[:, 1], ends[:, 0], middle[hole]], axis=1), excess, holes, len(edges)
 
 
 def volumes(corners: Floats) -> Floats:

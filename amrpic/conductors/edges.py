@@ -10,7 +10,8 @@ import scipy
 from numpy.typing import ArrayLike
 
 from ..shapes.spans import Ints
-from .arms import Conductor, Lattice, Walls, arms_of_boxes
+from .arms import Lattice, Walls, arms_of_boxes
+from .conductor import Conductor
 
 # Between places on the metal that are compared, in cells: around an edge these are at most √2 apart.
 REACH = 1.5

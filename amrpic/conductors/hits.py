@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..shapes.shape import columns
 from ..shapes.spans import Floats, Ints
-from .arms import Conductor
+from .conductor import Conductor
 
 
 class ElectrodeHits(NamedTuple):

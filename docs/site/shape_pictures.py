@@ -56,7 +56,9 @@ def draw(picture: Path) -> None:
     axes.plot(
         start + (i + 0.5) * WIDTH, start + (k + 0.5) * WIDTH, "s", color="#dd8452", markersize=6, fillstyle="none"
     )
-    for body, colour, place in zip(bodies, COLOURS, [(-10.5, -10.2), (-2.6, 9.4), (-10.5, 1.2), (5.4, 9.4)], strict=True):
+    for body, colour, place in zip(
+        bodies, COLOURS, [(-10.5, -10.2), (-2.6, 9.4), (-10.5, 1.2), (5.4, 9.4)], strict=True
+    ):
         axes.text(*place, body.name, color=colour)
     axes.set(xlabel="x / mm", ylabel="z / mm", aspect="equal", xlim=(start, -start), ylim=(start, -start))
     figure.savefig(picture, dpi=100)

@@ -693,6 +693,15 @@ class OpenWallPlans:
         Counts of one solve on a rank, by the plan that a solve follows: patches evaluated, their interactions `far` and `near`, nodes and leaves received; messages and bytes sent, of each kind and of all; messages received; bytes of each collective. Where charge is, blocks are taken to be full: in the regions `charged`, (lower, upper) in cells of the base, or everywhere. Local.
         """
 
+class Triangles:
+    """A closed surface of triangles, searched by a hierarchy of boxes."""
+
+    def __init__(self, corners: NDArray[numpy.float64], weight: NDArray[numpy.int32]) -> None: ...
+    def crossings(self, start: NDArray[numpy.float64], direction: NDArray[numpy.float64]) -> tuple:
+        """
+        Line, parameter, change of depth and triangle of each crossing, line by line, and the lines that pass edges within rounding; arguments are rows of x, y, z.
+        """
+
 def gmls_exponents(dimension: int, order: int) -> NDArray[numpy.int32]:
     """
     Exponents of the monomials, (n, dimension), in the order of their coefficients.

@@ -19,6 +19,7 @@ ROOT = Path(__file__).parents[1]
 NATIVE = {
     "base": set(),
     "gmls": {"base"},
+    "geometry": {"base"},
     "stencil": {"gmls", "base"},
     "mesh": {"stencil", "base"},
     "operators": {"mesh", "stencil", "base"},
@@ -43,6 +44,7 @@ NATIVE = {
         "stencil",
         "mesh",
         "gmls",
+        "geometry",
         "fem",
         "material",
         "mpm",

@@ -8,39 +8,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
 from ..shapes import Shape
-from ..shapes.spans import Floats, Ints, Spans
+from ..shapes.spans import Floats, Ints
+from .conductor import Conductor
+from .contacts import Contact, LineSpans, contacts, sentence
 
 # A centre that is nearer to metal than this share of an arm, along that arm, lies in the metal.
 TOUCH = 1e-9
 SIDES = ("x-", "x+", "y-", "y+", "z-", "z+")
 FAR = 1 << 30  # beyond all indices of cells
-
-
-class Conductor(Protocol):
-    """What is cut: `amrpic.Electrode`."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def shape(self) -> Shape: ...
-    @property
-    def voltage(self) -> object:
-        """What may be compared for two that may touch; None where the voltage is not known, as it floats."""
-
-
-class Contact(NamedTuple):
-    """Two electrodes of different voltages that touch or overlap, and a place where they do, m."""
-
-    first: int
-    second: int
-    place: tuple[float, float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +82,7 @@ class Walls(NamedTuple):
 
     cut: Ints  # (m,) row of the cut cell in `CutArms`
     side: Ints  # (m,) 0 to 5
-    index: Ints  # (m, 3) of the cell
+    cells: Ints  # (m, 3) index of the cell
     place: Floats  # (m, 3) m
     normal: Floats  # (m, 3) unit vector out of the metal
 
@@ -121,16 +103,6 @@ def cut_arms(
     return arms
 
 
-def sentence(electrodes: Sequence[Conductor], contact: Contact) -> str:
-    """Return why electrodes that touch are refused."""
-    one, other = (electrodes[number].name for number in contact[:2])
-    x, y, z = contact.place
-    return (
-        f"electrodes {one} and {other} touch at ({x:.6g}, {y:.6g}, {z:.6g}) m and have different voltages; "
-        "move them apart, or give them the same voltage"
-    )
-
-
 def arms_of_boxes(
     electrodes: Sequence[Conductor], boxes: ArrayLike, origin: ArrayLike, spacing: ArrayLike
 ) -> tuple[CutArms, list[Contact]]:
@@ -140,16 +112,19 @@ def arms_of_boxes(
     """
     lattice = Lattice.of(origin, spacing)
     cells = GrownBoxes.around(np.reshape(np.asarray(boxes, np.int64), (-1, 6)))
-    owner = np.full(cells.total, -1, np.int32)
+    owner, axes = np.full(cells.total, -1, np.int32), np.zeros(cells.total, np.uint8)
     crossings: list[Crossings] = []
-    lines: list[list[Traced]] = [[] for _ in electrodes]
+    lines: list[list[LineSpans]] = [[] for _ in electrodes]
     for number in reversed(range(len(electrodes))):  # so that the first ones come last, and stay
         for axis in range(3):
             traced = trace(electrodes[number].shape, cells, lattice, axis)
-            lines[number].append(traced)
-            owner[traced.solid_cells(cells, lattice)] = number
+            lines[number].append(traced.lines)
+            solid = traced.solid_cells(cells, lattice)
+            owner[solid] = number
+            axes[solid] |= 1 << axis
             crossings += traced.crossings(cells, lattice, number)
-    return assembled(cells, owner, crossings), list(contacts(electrodes, lines, lattice))
+    crossings.append(unseen(cells, owner, axes))
+    return assembled(cells, owner, crossings), list(contacts(electrodes, lines, TOUCH * lattice.spacing))
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,10 +201,7 @@ class Crossings(NamedTuple):
 class Traced:
     """The spans of a shape on lines of the lattice along an axis, and the pieces of these lines in boxes."""
 
-    axis: int
-    key: Ints  # (lines,) which line of the lattice
-    place: Floats  # (lines, 3) m
-    spans: Spans
+    lines: LineSpans
     span: Ints  # (p,) for each piece of a span in a box: the span,
     box: Ints  # (p,) the box,
     cell: Ints  # (p,) number that the cell of index 0 on the line would have,
@@ -237,16 +209,16 @@ class Traced:
 
     def ends(self, lattice: Lattice) -> tuple[Ints, Ints]:
         """Return the first and the last cell of each piece in metal; none if metal lies between two centres."""
-        first = np.ceil(lattice.index(self.axis, self.spans.enter) - TOUCH).astype(np.int64)
-        last = np.floor(lattice.index(self.axis, self.spans.leave) + TOUCH).astype(np.int64)
+        first = np.ceil(lattice.index(self.lines.axis, self.lines.spans.enter) - TOUCH).astype(np.int64)
+        last = np.floor(lattice.index(self.lines.axis, self.lines.spans.leave) + TOUCH).astype(np.int64)
         return first[self.span], last[self.span]
 
     def solid_cells(self, cells: GrownBoxes, lattice: Lattice) -> Ints:
         """Return the numbers of cells in metal."""
         first, last = self.ends(lattice)
-        first = np.maximum(first, cells.lower[self.box, self.axis])
-        count = np.maximum(np.minimum(last, cells.upper[self.box, self.axis]) - first + 1, 0)
-        stride = cells.stride[self.box, self.axis]
+        first = np.maximum(first, cells.lower[self.box, self.lines.axis])
+        count = np.maximum(np.minimum(last, cells.upper[self.box, self.lines.axis]) - first + 1, 0)
+        stride = cells.stride[self.box, self.lines.axis]
         step = ramp(count)
         step *= np.repeat(stride, count)
         return np.repeat(self.cell + first * stride, count) + step
@@ -254,16 +226,18 @@ class Traced:
     def crossings(self, cells: GrownBoxes, lattice: Lattice, electrode: int) -> Iterator[Crossings]:
         """Yield the arms that the spans cut, upwards and downwards."""
         first, last = self.ends(lattice)
-        low, high = cells.lower[self.box, self.axis], cells.upper[self.box, self.axis]
+        low, high = cells.lower[self.box, self.lines.axis], cells.upper[self.box, self.lines.axis]
         for index, upwards in ((first - 1, True), (last + 1, False)):
             piece = np.flatnonzero(self.inner & (low < index) & (index < high))
             span, index = self.span[piece], index[piece]
-            met = (self.spans.enter if upwards else self.spans.leave)[span]
-            surface = (self.spans.first if upwards else self.spans.last)[span]
-            way = (met - lattice.centre(self.axis, index)) / lattice.spacing[self.axis]
-            cell = self.cell[piece] + index * cells.stride[self.box[piece], self.axis]
+            met = (self.lines.spans.enter if upwards else self.lines.spans.leave)[span]
+            surface = (self.lines.spans.first if upwards else self.lines.spans.last)[span]
+            way = (met - lattice.centre(self.lines.axis, index)) / lattice.spacing[self.lines.axis]
+            cell = self.cell[piece] + index * cells.stride[self.box[piece], self.lines.axis]
             theta = np.minimum(way if upwards else -way, 1.0)
-            yield Crossings(6 * cell + 2 * self.axis + upwards, theta, np.full(len(cell), electrode, np.int32), surface)
+            yield Crossings(
+                6 * cell + 2 * self.lines.axis + upwards, theta, np.full(len(cell), electrode, np.int32), surface
+            )
 
 
 def ramp(count: Ints) -> Ints:
@@ -299,13 +273,13 @@ def trace(shape: Shape, cells: GrownBoxes, lattice: Lattice, axis: int) -> Trace
     inner = np.ones(len(box), bool)
     for a, index in ((u, at_u), (v, at_v)):
         inner &= (cells.lower[box, a] < index) & (index < cells.upper[box, a])
-    return Traced(axis, key, place, spans, span, *(np.repeat(part, count) for part in (box, base, inner)))
+    return Traced(LineSpans(axis, key, place, spans), span, *(np.repeat(part, count) for part in (box, base, inner)))
 
 
 def assembled(cells: GrownBoxes, owner: NDArray[np.int32], crossings: Sequence[Crossings]) -> CutArms:
     """Return solid and cut cells of boxes, from the electrode that owns each cell of the grown ones and from crossings."""
     empty = Crossings(np.empty(0, np.int64), np.empty(0), np.empty(0, np.int32), np.empty(0, np.int64))
-    columns = [np.concatenate(column) for column in zip(empty, *crossings, beside(cells, owner), strict=True)]
+    columns = [np.concatenate(column) for column in zip(empty, *crossings, strict=True)]
     fluid = owner[columns[0] // 6] < 0
     arm, theta, electrode, surface = (column[fluid] for column in columns)
     order = np.lexsort((-surface, electrode, theta, arm))
@@ -333,63 +307,21 @@ def assembled(cells: GrownBoxes, owner: NDArray[np.int32], crossings: Sequence[C
     )
 
 
-def beside(cells: GrownBoxes, owner: NDArray[np.int32]) -> Crossings:
-    """Return all arms that end at a centre in metal: cut there at the latest, also where rounding hides the surface."""
-    metal = owner >= 0
-    arms, owners = [np.empty(0, np.int64)], [np.empty(0, np.int32)]
-    for number in range(len(cells.lower)):
-        x, y, z = cells.upper[number] - cells.lower[number] + 1
-        box = metal[cells.first[number] : cells.first[number + 1]]
-        if not box.any() or box.all():
-            continue
-        solid = box.reshape(z, y, x)
-        centre = ~solid[1:-1, 1:-1, 1:-1]
-        for axis in range(3):
-            for upwards in (False, True):
-                part = [slice(1, -1)] * 3
-                part[2 - axis] = slice(2, None) if upwards else slice(0, -2)
-                k, j, i = np.nonzero(centre & solid[tuple(part)])
-                cell = cells.first[number] + (i + 1) + x * ((j + 1) + y * (k + 1))
-                arms.append(6 * cell + 2 * axis + upwards)
-                owners.append(owner[cell + (1 if upwards else -1) * cells.stride[number, axis]])
-    arm = np.concatenate(arms)
-    return Crossings(arm, np.ones(len(arm)), np.concatenate(owners), np.full(len(arm), -1))
+def unseen(cells: GrownBoxes, owner: NDArray[np.int32], axes: NDArray[np.uint8]) -> Crossings:
+    """Return arms that end at a centre in metal where rounding hides the surface: cut at their end.
 
-
-def contacts(electrodes: Sequence[Conductor], lines: Sequence[Sequence[Traced]], lattice: Lattice) -> Iterator[Contact]:
-    """Yield a place for each two electrodes of different voltages that touch or overlap."""
-    for one, first in enumerate(electrodes):
-        for other in range(one + 1, len(electrodes)):
-            second = electrodes[other]
-            if first.voltage is not None and first.voltage == second.voltage:
-                continue
-            places = (touching(*pair, lattice) for pair in zip(lines[one], lines[other], strict=True))
-            place = next((place for place in places if place is not None), None)
-            if place is not None:
-                yield Contact(one, other, place)
-
-
-def touching(one: Traced, other: Traced, lattice: Lattice) -> tuple[float, float, float] | None:
-    """Return a place where the spans of two shapes on the same lines touch or overlap."""
-    both = np.intersect1d(one.key, other.key)
-    if not len(both):
-        return None
-    parts = []
-    for number, traced in enumerate((one, other)):
-        chosen = np.flatnonzero(np.isin(traced.key, both)[traced.spans.line])
-        line = traced.spans.line[chosen]
-        parts.append(
-            (traced.key[line], traced.spans.enter[chosen], traced.spans.leave[chosen], line, [number] * len(line))
-        )
-    key, enter, leave, line, owner = (np.concatenate(column) for column in zip(*parts, strict=True))
-    order = np.lexsort((enter, key))
-    key, enter, leave, line, owner = (column[order] for column in (key, enter, leave, line, owner))
-    near = enter[1:] <= leave[:-1] + TOUCH * lattice.spacing[one.axis]
-    # Spans of one shape are apart, so that those of two overlap only where neighbours in this order do.
-    met = np.flatnonzero((key[1:] == key[:-1]) & (owner[1:] != owner[:-1]) & near)
-    if not len(met):
-        return None
-    n = met[0] + 1
-    place = (one, other)[int(owner[n])].place[line[n]].copy()
-    place[one.axis] = enter[n]
-    return float(place[0]), float(place[1]), float(place[2])
+    `axes` has a bit for each axis along which a line found the cell in metal. Where the line along an arm did, it
+    also found where it enters.
+    """
+    metal = np.flatnonzero((axes > 0) & (axes < 7))
+    metal, side = np.repeat(metal, 6), np.tile(np.arange(6), len(metal))
+    hidden = (axes[metal] >> side // 2) & 1 == 0
+    metal, side = metal[hidden], side[hidden]
+    box = np.searchsorted(cells.first, metal, side="right") - 1
+    # A cell that has the metal on its upper side lies below it.
+    neighbour = metal + np.where(side % 2 == 1, -1, 1) * cells.stride[box, side // 2]
+    within = (neighbour >= cells.first[box]) & (neighbour < cells.first[box + 1])
+    metal, side, neighbour = metal[within], side[within], neighbour[within]
+    inner = cells.decoded(neighbour)[2]
+    arm = 6 * neighbour[inner] + side[inner]
+    return Crossings(arm, np.ones(len(arm)), owner[metal[inner]], np.full(len(arm), -1))

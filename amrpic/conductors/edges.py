@@ -6,11 +6,12 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.spatial import cKDTree
 
 from ..shapes.spans import Ints
-from .arms import Conductor, Lattice, Walls, arms_of_boxes
+from .arms import Lattice, Walls, arms_of_boxes
+from .conductor import Conductor
 
 # Between places on the metal that are compared, in cells: around an edge these are at most √2 apart.
 REACH = 1.5
@@ -53,13 +54,13 @@ def within(box: Ints, cells: Sequence[Ints]) -> Ints:
 
 def bent(walls: Walls, places: np.ndarray, cosine: float) -> Ints:
     """Return the cells (n, 3) of places on the metal between which its normal turns outwards."""
-    pairs = cKDTree(places).query_pairs(REACH, output_type="ndarray")
+    pairs = scipy.spatial.cKDTree(places).query_pairs(REACH, output_type="ndarray")
     one, other = pairs.T
     turns = (walls.normal[one] * walls.normal[other]).sum(axis=1)
     spreads = ((walls.normal[other] - walls.normal[one]) * (places[other] - places[one])).sum(axis=1)
     # Both sides of a thin sheet are no edge; its rim is seen by the normals there.
     edge = (turns < cosine) & (turns > OPPOSITE) & (spreads > 0)
-    return walls.index[np.unique(pairs[edge])]
+    return walls.cells[np.unique(pairs[edge])]
 
 
 def rims(walls: Walls) -> Ints:
@@ -86,10 +87,10 @@ def rims(walls: Walls) -> Ints:
 
 def sheets(walls: Walls) -> tuple[Ints, Ints]:
     """Return cells (n, 3) and axes (n,) of upward arms that a thin sheet cuts, on both sides of which is no metal."""
-    key = ((walls.index[:, 0] << 2 * BITS) + (walls.index[:, 1] << BITS) + walls.index[:, 2]) * 3 + walls.side // 2
+    key = ((walls.cells[:, 0] << 2 * BITS) + (walls.cells[:, 1] << BITS) + walls.cells[:, 2]) * 3 + walls.side // 2
     steps = np.array([1 << 2 * BITS, 1 << BITS, 1]) * 3
     up, down = np.flatnonzero(walls.side % 2 == 1), np.flatnonzero(walls.side % 2 == 0)
     _, one, other = np.intersect1d(key[up] + steps[walls.side[up] // 2], key[down], return_indices=True)
     one, other = up[one], down[other]
     opposite = (walls.normal[one] * walls.normal[other]).sum(axis=1) < OPPOSITE
-    return walls.index[one[opposite]], walls.side[one[opposite]] // 2
+    return walls.cells[one[opposite]], walls.side[one[opposite]] // 2

@@ -1,6 +1,7 @@
 """Shapes of bodies, such as electrodes: where lines enter and leave them."""
 
 from .level_set import LevelSet
+from .mesh import Mesh
 from .revolved import Revolved
 from .shape import Hits, Shape
 from .solids import Box, Cone, Cylinder, Disk, Plane, Sphere
@@ -14,6 +15,7 @@ __all__ = [
     "Disk",
     "Hits",
     "LevelSet",
+    "Mesh",
     "Plane",
     "Revolved",
     "Shape",

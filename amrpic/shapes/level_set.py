@@ -15,6 +15,7 @@ from .solids import set_fields
 from .spans import Floats, Ints, Spans
 
 LINES_AT_ONCE = 4096
+TINY = 1e-300
 STEP = 1e-6  # of differences for normals, in diagonals of the box
 
 
@@ -53,7 +54,7 @@ class LevelSet(Shape):
             raise InputError(
                 f"LevelSet: its function is not a number at ({x:g}, {y:g}, {z:g}) m; make it finite in the whole box"
             )
-        return value
+        return np.where(value == 0, -TINY, value)  # where it is zero over a stretch, the body ends where that does
 
     def _spans(self, start: Columns, direction: Columns) -> Spans:
         enter, leave = slabs(self.bounds, start, direction)
@@ -87,7 +88,7 @@ class LevelSet(Shape):
         root[inner] = roots_between(along, *ends, value[low[inner], at])
         return lines[number[::2]], root[::2], root[1::2]
 
-    def _normals(self, points: Columns, surface: int) -> Columns:
+    def _normals(self, points: Columns, surface: Ints) -> Columns:
         size = np.subtract(self.upper, self.lower)
         lower, upper = (np.array(corner)[:, None] for corner in self.bounds)
         step = STEP * float(np.sqrt((size**2).sum()))
@@ -106,4 +107,4 @@ class LevelSet(Shape):
         lower, upper = (np.array(corner)[:, None] for corner in self.bounds)
         gap = np.minimum(points - lower, upper - points) / (upper - lower)
         cut = (gap.min(axis=0) < 1e-12) & (self._value(points) < 0)
-        return np.where(cut, Box(self.lower, self.upper)._normals(points, 0), slopes)
+        return np.where(cut, Box(self.lower, self.upper)._normals(points, np.zeros(1, np.int64)), slopes)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -27,7 +27,7 @@ class Revolved(Shape):
     `points` may name a CSV file of two columns, z and r in m.
     """
 
-    points: Profile
+    points: Sequence[tuple[float, float]] | str | os.PathLike[str]
     axis: Point = (0.0, 0.0, 1.0)
     origin: Point = (0.0, 0.0, 0.0)
 
@@ -40,12 +40,17 @@ class Revolved(Shape):
 
     @property
     def surfaces(self) -> int:
-        return len(self.points)
+        return len(self.profile)
+
+    @property
+    def profile(self) -> Profile:
+        """The points of the polygon (z, r), m."""
+        return cast(Profile, self.points)
 
     @property
     def bounds(self) -> tuple[Point, Point]:
         corners = []
-        for z, r in self.points:
+        for z, r in self.profile:
             centre = tuple(o + z * a for o, a in zip(self.origin, self.axis, strict=True))
             corners.append(around(cast(Point, centre), of_circle(self.axis, r)))
         lower, upper = np.swapaxes(corners, 0, 1)
@@ -53,9 +58,9 @@ class Revolved(Shape):
 
     def _edges(self) -> Iterator[tuple[int, float, float, float, float, int]]:
         """Yield number, heights and radii (lower end first) of edges that are mantles, and +1 if the body is below, else -1."""
-        turn = 1 if area(np.array(self.points)) > 0 else -1
+        turn = 1 if area(np.array(self.profile)) > 0 else -1
         for number, ((z, r), (z_next, r_next)) in enumerate(
-            zip(self.points, (*self.points[1:], self.points[0]), strict=True)
+            zip(self.profile, (*self.profile[1:], self.profile[0]), strict=True)
         ):
             if z < z_next:
                 yield number, z, z_next, r, r_next, -turn
@@ -80,14 +85,14 @@ class Revolved(Shape):
         surface, signs = (np.repeat([part[column] for part in parts], count) for column in (3, 4))
         return swept(line, enter, leave, (surface, surface), signs, np.zeros_like(signs))
 
-    def _normals(self, points: Columns, surface: int) -> Columns:
+    def _normals(self, points: Columns, surface: Ints) -> Columns:
         """Return those of the edge that is nearest: an end of a strip may be an edge across the axis."""
         offset, unit = points - column(self.origin), column(self.axis)
         height = dot(unit, offset)
         across = offset - height * unit
         distance = np.sqrt(dot(across, across))
         best, normals = np.full(points.shape[1], np.inf), np.zeros_like(points)
-        for (z, r), (z_next, r_next) in zip(self.points, (*self.points[1:], self.points[0]), strict=True):
+        for (z, r), (z_next, r_next) in zip(self.profile, (*self.profile[1:], self.profile[0]), strict=True):
             dz, dr = z_next - z, r_next - r
             share = np.clip(((height - z) * dz + (distance - r) * dr) / (dz**2 + dr**2), 0, 1)
             gap = np.hypot(height - z - share * dz, distance - r - share * dr)

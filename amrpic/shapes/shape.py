@@ -17,8 +17,10 @@ from .checks import Point
 from .spans import Floats, Ints, Spans, combined
 
 Columns = Floats  # (3, n): x, y and z of points or vectors
+# Of coordinates, in shares of the largest one of a body.
+ROUNDING = 1e-12
 # Rounding of a turn by a right angle.
-ROUNDING = 4e-16
+OF_TURNS = 4e-16
 
 
 def dot(a: Columns, b: Columns) -> Floats:
@@ -55,8 +57,8 @@ class Shape(ABC):
     def _spans(self, start: Columns, direction: Columns) -> Spans: ...
 
     @abstractmethod
-    def _normals(self, points: Columns, surface: int) -> Columns:
-        """Return vectors, of any length, normal to a surface near points on it, of either sign."""
+    def _normals(self, points: Columns, surface: Ints) -> Columns:
+        """Return vectors, of any length and either sign, normal at points to the surface that each lies on."""
 
     def spans(self, start: ArrayLike, direction: ArrayLike | int) -> Spans:
         """Return where lines are in the body: `start` (n, 3) + parameter · `direction` (n, 3) or (3,).
@@ -75,36 +77,44 @@ class Shape(ABC):
 
     def inside(self, points: ArrayLike) -> NDArray[np.bool_]:
         """Return which points (n, 3) lie in the body or on its surface."""
-        points = np.reshape(np.asarray(points, float), (-1, 3))
-        spans = self.spans(points, 0)
-        x = points[spans.line, 0]
-        inside = np.zeros(len(points), bool)
-        inside[spans.line[(spans.enter <= x) & (x <= spans.leave)]] = True
+        places = columns("points", points).T
+        near = self._near(places, places)
+        spans = self.spans(places[near], 0)
+        x = places[near[spans.line], 0]
+        inside = np.zeros(len(places), bool)
+        inside[near[spans.line[(spans.enter <= x) & (x <= spans.leave)]]] = True
         return inside
 
     def first_hits(self, start: ArrayLike, end: ArrayLike) -> Hits:
         """Return where segments between points (n, 3) first meet the body; at once, if they start in it."""
-        begins = columns("start", start).T
-        ways = columns("end", end).T - begins
+        begins, ends = columns("start", start).T, columns("end", end).T
+        near = self._near(begins, ends)
+        begins, ways = begins[near], ends[near] - begins[near]
+        rests = ~ways.any(axis=1)
+        ways[rests, 0] = 1.0
         spans = self.spans(begins, ways)
-        spans = spans.select((spans.leave >= 0) & (spans.enter <= 1))
+        spans = spans.select((spans.leave >= 0) & (spans.enter <= np.where(rests, 0.0, 1.0)[spans.line]))
         segment, place = np.unique(spans.line, return_index=True)
         enter, share = spans.enter[place], np.maximum(spans.enter[place], 0.0)
         met = np.where(enter >= 0, enter, spans.leave[place])  # whichever end of the span is nearer, for a start inside
         points = begins[segment] + met[:, None] * ways[segment]
         surface = np.where(enter >= 0, spans.first[place], spans.last[place])
         towards = np.where(enter >= 0, 1.0, -1.0)[:, None] * ways[segment]
-        return Hits(segment, share, self.normals(points, surface, towards))
+        return Hits(near[segment], share, self.normals(points, surface, towards))
+
+    def _near(self, start: Floats, end: Floats) -> Ints:
+        """Return which segments between points (n, 3) may meet the box around it."""
+        lower, upper = (np.array(corner) for corner in self.bounds)
+        margin = ROUNDING * np.abs([lower, upper]).max(initial=0.0, where=np.isfinite([lower, upper]))
+        apart = (np.minimum(start, end) > upper + margin) | (np.maximum(start, end) < lower - margin)
+        return np.flatnonzero(~apart.any(axis=1))
 
     def normals(self, points: ArrayLike, surface: ArrayLike, direction: ArrayLike) -> Floats:
         """Return unit normals (n, 3) at points on the body's surfaces, against the directions by which these are met."""
         places, vectors = columns("points", points), columns("direction", direction)
-        numbers = np.broadcast_to(np.asarray(surface), places.shape[1])
-        normals = np.zeros_like(places)
+        numbers = np.broadcast_to(np.asarray(surface, np.int64), places.shape[1])
         with np.errstate(all="ignore"):
-            for number in np.unique(numbers):
-                chosen = numbers == number
-                normals[:, chosen] = self._normals(places[:, chosen], int(number))
+            normals = self._normals(places, numbers)
             normals = normals / np.sqrt(dot(normals, normals))
             normals[:, ~np.isfinite(normals[0])] = 0.0  # the tip of a cone, the centre of a sphere
             return np.ascontiguousarray((normals * np.where(dot(normals, vectors) > 0, -1.0, 1.0)).T)
@@ -153,7 +163,7 @@ def rotation(axis: Point, angle: float) -> Floats:
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     matrix = np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * (cross @ cross)
     nearest = np.round(matrix)
-    return np.where(abs(matrix - nearest) < ROUNDING, nearest, matrix) + 0.0
+    return np.where(abs(matrix - nearest) < OF_TURNS, nearest, matrix) + 0.0
 
 
 Kind = Literal["union", "intersection", "difference"]
@@ -187,12 +197,13 @@ class Combination(Shape):
         bodies[len(bodies) - holes :] = [body.select(body.enter < body.leave) for body in bodies[len(bodies) - holes :]]
         return combined(bodies, [part.surfaces for part in self.parts], needed, holes)
 
-    def _normals(self, points: Columns, surface: int) -> Columns:
+    def _normals(self, points: Columns, surface: Ints) -> Columns:
+        normals, first = np.zeros_like(points), 0
         for part in self.parts:
-            if surface < part.surfaces:
-                return part._normals(points, surface)
-            surface -= part.surfaces
-        raise IndexError(surface)
+            own = np.flatnonzero((first <= surface) & (surface < first + part.surfaces))
+            normals[:, own] = part._normals(points[:, own], surface[own] - first)
+            first += part.surfaces
+        return normals
 
 
 def _of_part(part: Shape, start: Columns, direction: Columns) -> Spans:
@@ -238,7 +249,7 @@ class Placed(Shape):
     def __post_init__(self) -> None:
         inverse = np.linalg.inv(np.array(self.matrix))
         nearest = np.round(inverse)
-        object.__setattr__(self, "inverse", np.where(abs(inverse - nearest) < ROUNDING, nearest, inverse) + 0.0)
+        object.__setattr__(self, "inverse", np.where(abs(inverse - nearest) < OF_TURNS, nearest, inverse) + 0.0)
 
     @property
     def surfaces(self) -> int:
@@ -262,7 +273,7 @@ class Placed(Shape):
             self._inwards(direction),
         )
 
-    def _normals(self, points: Columns, surface: int) -> Columns:
+    def _normals(self, points: Columns, surface: Ints) -> Columns:
         normals = self.shape._normals(self._inwards(points - np.array(self.offset)[:, None]), surface)
         return np.stack([sum(w * n for w, n in zip(row, normals, strict=True)) for row in self.inverse.T])
 

@@ -12,14 +12,12 @@ import numpy as np
 from ..errors import InputError
 from . import checks
 from .checks import Point
-from .shape import Columns, Shape, dot, slabs
-from .spans import Floats, Spans
+from .shape import ROUNDING, Columns, Shape, dot, slabs
+from .spans import Floats, Ints, Spans
 
 INFINITE: tuple[Point, Point] = ((-math.inf,) * 3, (math.inf,) * 3)
 # Lines within this angle of a foil's plane, or of a cylinder's axis, count as parallel to it.
 PARALLEL = 1e-12
-# Of coordinates, in shares of the largest one of a body.
-ROUNDING = 1e-12
 
 
 class Convex(Shape):
@@ -64,7 +62,7 @@ class Sphere(Convex):
         half = np.sqrt((self.radius**2 - dot(nearest, nearest)) / dot(direction, direction))
         return middle - half, middle + half
 
-    def _normals(self, points: Columns, surface: int) -> Columns:
+    def _normals(self, points: Columns, surface: Ints) -> Columns:
         return points - column(self.centre)
 
 
@@ -100,7 +98,7 @@ class Box(Convex):
         # Faces on planes of cell centres are common, and edges there may not hang on rounding.
         return slabs(self.bounds, start, direction, ROUNDING * float(np.abs(self.bounds).max()))
 
-    def _normals(self, points: Columns, surface: int) -> Columns:
+    def _normals(self, points: Columns, surface: Ints) -> Columns:
         lower, upper = column(self.lower), column(self.upper)
         place = (points - lower) / (upper - lower) - 0.5
         # The face that a point is nearest to, in shares of the box.
@@ -137,7 +135,7 @@ class Plane(Convex):
         leave = np.where(rise > 0, meets, np.where(rise < 0, np.inf, within))
         return enter, leave
 
-    def _normals(self, points: Columns, surface: int) -> Columns:
+    def _normals(self, points: Columns, surface: Ints) -> Columns:
         return np.broadcast_to(column(self.normal), points.shape)
 
 
@@ -165,7 +163,7 @@ class Disk(Shape):
         meets = np.where(dot(place, place) <= self.radius**2, meets, np.nan)
         return Spans.of_convex(meets, meets, foil=True)
 
-    def _normals(self, points: Columns, surface: int) -> Columns:
+    def _normals(self, points: Columns, surface: Ints) -> Columns:
         return np.broadcast_to(column(self.normal), points.shape)
 
 
@@ -211,7 +209,7 @@ class Cone(Convex):
         lines = AxialLines.of(self.start, axis, start, direction)
         return lines.in_frustum(0.0, math.dist(self.start, self.end), self.radius_start, self.radius_end)
 
-    def _normals(self, points: Columns, surface: int) -> Columns:
+    def _normals(self, points: Columns, surface: Ints) -> Columns:
         axis = checks.direction("Cone", np.subtract(self.end, self.start))
         length = math.dist(self.start, self.end)
         return frustum_normals(self.start, axis, points, 0.0, length, self.radius_start, self.radius_end)
@@ -241,7 +239,7 @@ class Cylinder(Convex):
     def _ends(self, start: Columns, direction: Columns) -> tuple[Floats, Floats]:
         return self._cone._ends(start, direction)
 
-    def _normals(self, points: Columns, surface: int) -> Columns:
+    def _normals(self, points: Columns, surface: Ints) -> Columns:
         return self._cone._normals(points, surface)
 
 

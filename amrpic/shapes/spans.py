@@ -58,24 +58,39 @@ def combined(bodies: Sequence[Spans], surfaces: Sequence[int], needed: int, hole
 def swept(
     line: Ints, enter: Floats, leave: Floats, surfaces: tuple[Ints, Ints], step: Ints, hole: Ints, needed: int = 1
 ) -> Spans:
-    """Return where the sum of the `step`s of intervals reaches `needed` and that of their `hole`s is zero.
+    """Return where the sum of the `step`s of intervals (n,) reaches `needed` and that of their `hole`s is zero.
 
     At one place sums first rise, then fall, so that intervals that touch are one.
     """
-    n = len(line)
-    foil = np.tile(enter == leave, 2)
-    parameter = np.concatenate([enter, leave])
-    rises = np.concatenate([step + hole, -step - hole])
-    # Ends of foils between those of bodies: a foil on the surface of a body lies in it.
-    rank = np.where(foil, np.where(rises > 0, 1, 2), np.where(rises > 0, 0, 3))
-    order = np.lexsort((rank, parameter, np.tile(line, 2)))
-    count = np.cumsum(np.concatenate([step, -step])[order])
-    out = np.cumsum(np.concatenate([hole, -hole])[order])
-    within = (count >= needed) & (out <= 0)
-    before = np.concatenate([[False], within[:-1]])
-    start, stop = order[within & ~before], order[~within & before]
-    all_surfaces = np.concatenate(surfaces)
-    spans = Spans(
-        line[start % n] if n else line, parameter[start], parameter[stop], all_surfaces[start], all_surfaces[stop]
+    return swept_ends(
+        np.tile(line, 2),
+        np.concatenate([enter, leave]),
+        np.concatenate(surfaces),
+        np.concatenate([step, -step]),
+        np.concatenate([hole, -hole]),
+        np.tile(enter == leave, 2),
+        needed,
     )
+
+
+def swept_ends(
+    line: Ints,
+    parameter: Floats,
+    surface: Ints,
+    step: Ints,
+    hole: Ints | None = None,
+    foil: NDArray[np.bool_] | None = None,
+    needed: int = 1,
+) -> Spans:
+    """Return the same from single ends, at which the sums change by `step` and `hole`; `foil` names those of foils."""
+    hole = np.zeros_like(step) if hole is None else hole
+    foil = np.zeros(len(line), bool) if foil is None else foil
+    rises = step + hole > 0
+    # Ends of foils between those of bodies: a foil on the surface of a body lies in it.
+    rank = np.where(foil, np.where(rises, 1, 2), np.where(rises, 0, 3))
+    order = np.lexsort((rank, parameter, line))
+    within = (np.cumsum(step[order]) >= needed) & (np.cumsum(hole[order]) <= 0)
+    before = np.concatenate([[False], within[:-1]])[: len(within)]
+    start, stop = order[within & ~before], order[~within & before]
+    spans = Spans(line[start], parameter[start], parameter[stop], surface[start], surface[stop])
     return spans.select((spans.leave > spans.enter) | foil[start] | foil[stop])

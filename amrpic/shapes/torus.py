@@ -81,7 +81,7 @@ class Torus(Shape):
         extrema = np.sort([np.where(inner > 0, only, t) for t in three], axis=0)
         return np.stack([-reach, *np.clip(extrema, -reach, reach), reach])
 
-    def _normals(self, points: Columns, surface: int) -> Columns:
+    def _normals(self, points: Columns, surface: Ints) -> Columns:
         offset, unit = points - column(self.centre), column(self.axis)
         across = offset - dot(unit, offset) * unit
         return offset - self.radius * across / np.sqrt(dot(across, across))

@@ -5,7 +5,8 @@ import pytest
 
 import bodies
 from amrpic import Electrode, shapes
-from amrpic.conductors.arms import SIDES, arms_of_boxes, cut_arms, sentence
+from amrpic.conductors.arms import SIDES, arms_of_boxes, cut_arms
+from amrpic.conductors.contacts import refuse_contacts, sentence
 from amrpic.errors import InputError
 
 CELLS = np.array([20, 18, 22])
@@ -78,7 +79,7 @@ def everywhere(boxes):
     """Return what is known of each cell of the level, from several boxes."""
     arms, contacts = arms_of_boxes(SCENE, boxes, ORIGIN, SPACING)
     assert not contacts
-    known = {}
+    known: dict[tuple[int, ...], bytes] = {}
     for number, box in enumerate(np.array(boxes)):
         own, size = arms.of_box(number), box[3:] - box[:3] + 1
         rows = np.column_stack([own.theta, own.electrode, own.surface])
@@ -99,7 +100,7 @@ def test_digits_do_not_depend_on_boxes(size):
         for i in starts[0]
     ]
     assert everywhere(boxes) == whole and len(whole) > 500
-    alone = {}
+    alone: dict[tuple[int, ...], bytes] = {}
     for box in boxes[::-1]:
         alone |= everywhere([box])
     assert alone == whole
@@ -166,7 +167,7 @@ TOUCHING = {
     "face to face": (shapes.Box((1, 1, 1), (4, 4, 4)), shapes.Box((4, 1, 1), (6, 4, 4))),
     "overlapping": (shapes.Sphere((4, 5, 5), 2), shapes.Sphere((7, 5, 5), 2)),
     "one in the other": (shapes.Sphere((5, 5, 5), 3), shapes.Sphere((5, 5, 5), 1)),
-    "a foil on a box": (shapes.Box((1, 1, 1), (4, 4, 4)), shapes.Disk((2, 2, 4), "z", 1)),
+    "a foil on a box": (shapes.Box((1, 1, 1), (4, 4, 4)), shapes.Disk((2, 2, 4), (0, 0, 1), 1)),
     "less than a cell": (shapes.Box((1, 1, 1), (4.02, 4, 4)), shapes.Box((4.01, 1, 1), (6, 4, 4))),
 }
 
@@ -185,6 +186,10 @@ def test_electrodes_at_different_voltages_that_touch_are_refused_with_the_place(
     assert arms_of_boxes(floating, [[0, 0, 0, 9, 9, 9]], 0.0, 1.0)[1]
     same = [Electrode("a", pair[0].shape, voltage=1), Electrode("b", pair[1].shape, voltage=1)]
     assert not arms_of_boxes(same, [[0, 0, 0, 9, 9, 9]], 0.0, 1.0)[1]
+    refuse_contacts(same)
+    for refused in (pair, floating):
+        with pytest.raises(InputError, match="touch at"):
+            refuse_contacts(refused)
 
 
 def test_electrodes_a_thin_gap_apart_do_not_touch():
@@ -192,6 +197,16 @@ def test_electrodes_a_thin_gap_apart_do_not_touch():
     assert len(cut_arms(apart, (0,) * 3, (10,) * 3, 0.0, 1.0).cell)
     inside = metal(shapes.Sphere((5, 5, 5), 4) - shapes.Sphere((5, 5, 5), 3), shapes.Sphere((5, 5, 5), 2.9))
     assert len(cut_arms(inside, (0,) * 3, (10,) * 3, 0.0, 1.0).cell)
+    for pair in (apart, inside):
+        refuse_contacts(pair)
+
+
+def test_half_spaces_and_far_electrodes_are_compared():
+    plane, ball = shapes.Plane((0, 0, 1), (0, 0, 1)), shapes.Sphere((0, 0, 3), 1.9)
+    refuse_contacts(metal(plane, ball, shapes.Sphere((9, 9, 9), 1), shapes.Plane((0, 0, 20), (0, 0, -1))))
+    for other in (shapes.Sphere((0, 0, 3), 2.01), shapes.Plane((3, 0, 0), (1, 0, 0)), shapes.Sphere((0, 0, -9), 1)):
+        with pytest.raises(InputError, match="electrodes e0 and e1 touch"):
+            refuse_contacts(metal(plane, other))
 
 
 def test_crossings_lie_on_the_surface_with_its_normal():
@@ -228,3 +243,32 @@ def test_coarse_spacings_see_the_same_surface():
         places.append(arms.crossings(ball, box, -0.9, 1.8 / 27 * factor).place)
     gaps = np.linalg.norm(places[1][:, None] - places[0], axis=2).min(axis=1)
     assert gaps.max() < 1e-12
+
+
+def rough_box(rng):
+    """Return a body on planes of centres, but for rounding, and without the slack of `Box`."""
+    low = rng.integers(1, 6, 3) + 0.5
+    high = low + rng.integers(1, 4, 3)
+    middle, half = (low + high) / 2, (high - low) / 2 * (1 + rng.integers(-2, 3, 3) * 1e-16)
+
+    def outside(x, y, z):
+        return np.maximum.reduce([abs(v - m) - h for v, m, h in zip((x, y, z), middle, half, strict=True)])
+
+    return shapes.LevelSet(outside, (0.0,) * 3, (10.0,) * 3)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_arms_that_end_in_metal_are_cut_whatever_rounding_says(seed):
+    rng = np.random.default_rng(seed)
+    body = rough_box(rng) | (rough_box(rng) - rough_box(rng))
+    arms = cut_arms(metal(body), (0, 0, 0), (10, 10, 10), 0.0, 1.0)
+    solid, theta = dense(arms, 1000)
+    solid, theta = solid.reshape(10, 10, 10), theta.reshape(10, 10, 10, 6)
+    assert solid.any() and ((theta > 0) & (theta <= 1) | np.isinf(theta)).all()
+    for side, (i, j, k) in enumerate(STEPS):
+        ends_in_metal = np.roll(solid, (-k, -j, -i), axis=(0, 1, 2))
+        assert np.array_equal(np.isfinite(theta[..., side]), ends_in_metal & ~solid)
+    parts = [[i, j, k, i + 4, j + 1, k + 9] for k in (0,) for j in range(0, 10, 2) for i in (0, 5)]
+    split, _ = arms_of_boxes(metal(body), parts, 0.0, 1.0)
+    assert len(split.solid) == len(arms.solid) and len(split.cell) == len(arms.cell)
+    assert np.array_equal(np.sort(split.theta, axis=None), np.sort(arms.theta, axis=None))

@@ -34,14 +34,14 @@ def nearest(places, others):
 
 
 EDGES = {
-    "disk": (shapes.Disk((0, 0, 0.01), "z", 0.5), rim(0.5, (0, 0, 0.01), (0, 0, 1))),
+    "disk": (shapes.Disk((0, 0, 0.01), (0, 0, 1), 0.5), rim(0.5, (0, 0, 0.01), (0, 0, 1))),
     "tilted disk": (shapes.Disk((0, 0, 0.01), (1, 2, 3), 0.5), rim(0.5, (0, 0, 0.01), (1, 2, 3))),
     "cylinder": (
         shapes.Cylinder((0, 0, -0.51), (0, 0, 0.52), 0.5),
         np.concatenate([rim(0.5, (0, 0, z), (0, 0, 1)) for z in (-0.51, 0.52)]),
     ),
     "hole in a foil": (
-        shapes.Disk((0, 0, 0.01), "z", 3) - shapes.Cylinder((0, 0, -1), (0, 0, 1), 0.4),
+        shapes.Disk((0, 0, 0.01), (0, 0, 1), 3) - shapes.Cylinder((0, 0, -1), (0, 0, 1), 0.4),
         rim(0.4, (0, 0, 0.01), (0, 0, 1)),
     ),
 }

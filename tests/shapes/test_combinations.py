@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from bodies import BODIES
 
 from amrpic import shapes
-from amrpic.shapes import Box, Disk, Sphere
+from amrpic.shapes import Box, Disk, Shape, Sphere
+from bodies import BODIES
 
 
 def random_tree(rng, depth):
@@ -92,7 +92,7 @@ def test_bodies_that_touch_and_foils_on_them_follow_one_rule(body, expected):
 
 def test_operations_do_not_depend_on_the_order_of_parts():
     rng = np.random.default_rng(3)
-    parts = [Sphere(rng.uniform(-0.5, 0.5, 3), rng.uniform(0.1, 0.4)) for _ in range(6)]
+    parts: list[Shape] = [Sphere(tuple(rng.uniform(-0.5, 0.5, 3)), rng.uniform(0.1, 0.4)) for _ in range(6)]
     start, direction = rng.uniform(-1, 1, (2000, 3)), rng.normal(size=(2000, 3))
     union, other = parts[0], parts[-1]
     for part in parts[1:]:

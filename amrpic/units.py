@@ -39,6 +39,7 @@ UNITS: dict[str, dict[str, float]] = {
         "C": 1.0,
         **{"mC": 1e-3, "uC": 1e-6, "µC": 1e-6, "nC": 1e-9, "pC": 1e-12, "fC": 1e-15, "e": ELEMENTARY_CHARGE},
     },
+    "current": {"A": 1.0, "mA": 1e-3, "uA": 1e-6, "µA": 1e-6, "nA": 1e-9, "kA": 1e3},
     "mass": {
         "kg": 1.0,
         **{f"{unit}/c^2": value / SPEED_OF_LIGHT**2 for unit, value in _ENERGY.items() if unit.endswith("eV")},

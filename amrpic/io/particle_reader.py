@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import InputError
 from ..mesh.domain import Domain
 from ..mesh.window import window_of
-from ..particles.groups import Groups, NamedBunches
+from ..particles.groups import Groups
 from ..particles.particles import Particles, concatenate
 from ..particles.species import SpeciesTable
 from ..scene.scene import Scene
@@ -62,11 +62,15 @@ def _of_checkpoint(path: Path) -> ParticleDump:
             raise InputError(f"checkpoint {path} cannot be read: {one_line(error)}; draw another one") from None
     table = SpeciesTable.from_dict(header.extra["species"])
     scene = Scene.from_dict(header.about.scene, source=f"the scene in {path}")
-    bunches = [NamedBunches(bunch.name, bunch.copies, bunch.number) for bunch in scene.bunches]
     window = window_of(header.extra.get("course", {}).get("window", {}))
     particles = Particles(position, momentum, weight, ids, table).in_laboratory(window)
     return ParticleDump(
-        path, header.step, header.time, particles, Groups.of(table, bunches), window.shown(scene.domain.value)
+        path,
+        header.step,
+        header.time,
+        particles,
+        Groups.of(table, scene.named_bunches()),
+        window.shown(scene.domain.value),
     )
 
 

@@ -82,6 +82,11 @@ class SpeciesTable:
         kinds = tuple(dict.fromkeys(species))
         return cls(kinds, firsts, tuple(kinds.index(kind) for kind in species))
 
+    @property
+    def runs(self) -> list[tuple[int, Species]]:
+        """The first id of each run, and its species."""
+        return [(start, self.kinds[member]) for start, member in zip(self.starts, self.members, strict=True)]
+
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Self:
         """Return the table that `to_dict` described."""

@@ -11,7 +11,7 @@ from ..errors import InputError
 from ..io.provenance import Provenance
 from ..io.time_series import Series
 from ..parallel import call_together
-from ..particles.groups import Groups, NamedBunches
+from ..particles.groups import Groups
 from ..scene.scene import Scene
 from ..stages.beam_diagnostics import (
     FRACTIONS,
@@ -42,8 +42,7 @@ Diagnostic = Callable[[State], Mapping[str, float | np.ndarray | Sequence[float]
 
 def groups_of(state: State, scene: Scene) -> Groups:
     """Return the groups of particles of a run."""
-    bunches = [NamedBunches(bunch.name, bunch.copies, bunch.number) for bunch in scene.bunches]
-    return Groups.of(state.particles.species, bunches)
+    return Groups.of(state.particles.species, scene.named_bunches())
 
 
 class BeamTables:
@@ -70,7 +69,7 @@ class BeamTables:
         self._own, self._fills = own, fills
         self._series: dict[str, Series] = {}
         self._last = keep_to_step if keep_to_step is not None and self._is_due(keep_to_step) else None
-        if self._every and scene.bunches:
+        if self._every and (scene.bunches or scene.sources):
             self._open(BEAM, [*GROUP, *_columns(group_values(*NOTHING))])
             if self._slices:
                 self._open(SLICES, [*SLICE, *_columns(slice_values(Slice(0.0, 0.0, NOTHING[0])))])

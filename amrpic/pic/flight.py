@@ -13,16 +13,18 @@ from ..errors import ParticleError
 from ..mesh.domain import FACES
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.window import Window
-from ..particles.particles import Particles, cut
+from ..particles.particles import Particles, concatenate, cut
 from ..scene.obstacles import aperture_names
 from ..scene.scene import Scene
 from ..stages.deposit import Deposition
 from ..stages.encounters import MOST_PERIODS, Encounters, Flights
 from ..stages.migrate import arranged, migrate_without, share_out, weights
+from .births import Born
 from .leapfrog import momenta_of
 from .records import Record
 from .setup import Setup
 from .state import State
+from .tallies import Tallies
 
 PORTION = 2**15  # particles of a rank that it sends to their servers at a time
 NONE = np.zeros(0, dtype=np.int64)
@@ -41,6 +43,7 @@ class Arrived:
     particles: Particles
     lost: Record  # since the start of the run
     screens: Record  # likewise
+    tallies: Tallies  # likewise
     deposition: Deposition | None = None  # of these particles, if it has begun
 
 
@@ -62,7 +65,8 @@ def place(bunches: list[Particles], base: Hierarchy, window: Window, start: floa
         lost = lost.joined(_record(left, momentum, made, np.full(len(left), start), causes(scene)))
         del made, here  # else they live beside what follows
     particles = portions[0] if len(portions) == 1 else arranged(portions, base, servers)
-    return Arrived(particles, lost, Record.empty(species, [screen.name for screen in scene.screens]))
+    screens = Record.empty(species, [screen.name for screen in scene.screens])
+    return Arrived(particles, lost, screens, Tallies.of_scene(scene))
 
 
 def _portions(comm: MPI.Comm, bunches: list[Particles]) -> Iterator[Particles]:
@@ -87,14 +91,18 @@ def deposits_meanwhile(scene: Scene, kinds: int, step: int) -> bool:
     return kinds == 1 and scene.solver.backend != "kokkos" and not scene.refinement.regrids_at(step)
 
 
-def migrate(state: State, moved: Particles, setup: Setup) -> Arrived:
-    """Return the particles of a state where they have `moved`, and its records of losses and screens with those of the flight.
+def migrate(state: State, moved: Particles, born: Born | None, setup: Setup) -> Arrived:
+    """Return the particles of a state where they have `moved`, those that were `born` since, and its records of losses and
+    screens with those of the flight.
 
     Collective. Each flight is a straight line in the laboratory; those that touch an aperture end there. The deposit of those
     that stay on their rank, if it `deposits_meanwhile`, is returned as it has begun.
     """
     scene, hierarchy, window = setup.scene, state.hierarchy, state.staggered.course.window
-    flights = Flights(state.particles.position, moved.position, hierarchy.domain, state.window, window)
+    start, tallies = state.particles.position, state.tallies
+    if born is not None:
+        start, moved, tallies = np.concatenate([start, born.start]), concatenate([moved, born.particles]), born.tallies
+    flights = Flights(start, moved.position, hierarchy.domain, state.window, window)
     if (scene.apertures or scene.screens) and any(hierarchy.domain.periodic):
         _require_followable(setup.comm, flights)
     stopped = flights.losses(setup.apertures) if scene.apertures else NOTHING
@@ -105,18 +113,34 @@ def migrate(state: State, moved: Particles, setup: Setup) -> Arrived:
     planes, screens = [screen.z for screen in scene.screens], [screen.name for screen in scene.screens]
     passed = flights.crossings(planes, lost) if planes else NOTHING
     if missing == 0 and not (planes and setup.comm.allreduce(len(passed))):
-        return Arrived(particles, state.lost, state.screens, deposition)
+        return Arrived(particles, state.lost, state.screens, tallies, deposition)
     met = np.unique(np.concatenate([lost.flight, passed.flight]))
-    before = state.window.to_laboratory(momenta_of(state, met, setup))
+    before, begun, duration = _departures(state, born, met, setup)
 
     def recorded(of: Encounters, names: Sequence[str]) -> Record:
         late = window.to_laboratory(moved.momentum[of.flight])
         # Those of the flight belong to its middle.
-        momentum = late + (2 * of.share - 1)[:, None] * (late - before[np.searchsorted(met, of.flight)])
-        return _record(of, momentum, moved, state.time + of.share * state.staggered.flight, names)
+        which = np.searchsorted(met, of.flight)
+        momentum = late + (2 * of.share - 1)[:, None] * (late - before[which])
+        return _record(of, momentum, moved, begun[which] + of.share * duration[which], names)
 
     lost_until_now = state.lost.joined(recorded(lost, causes(scene)))
-    return Arrived(particles, lost_until_now, state.screens.joined(recorded(passed, screens)), deposition)
+    return Arrived(particles, lost_until_now, state.screens.joined(recorded(passed, screens)), tallies, deposition)
+
+
+def _departures(
+    state: State, born: Born | None, met: np.ndarray, setup: Setup
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the momenta (m, 3) in the laboratory and times (m,) at which some flights, ascending, begin, and their duration,
+    s: those of a state, and behind them those of newborn particles. Collective."""
+    old = met[: np.searchsorted(met, len(state.particles))]
+    momentum, time = momenta_of(state, old, setup), np.full(len(old), state.time)
+    duration = np.full(len(old), state.staggered.flight)
+    if born is not None:
+        new = met[len(old) :] - len(state.particles)
+        momentum, time = np.concatenate([momentum, born.momentum[new]]), np.concatenate([time, born.time[new]])
+        duration = np.concatenate([duration, state.time + state.staggered.flight - born.time[new]])
+    return state.window.to_laboratory(momentum), time, duration
 
 
 def _migrated(

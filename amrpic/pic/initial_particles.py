@@ -24,6 +24,7 @@ from ..scene.bunches import Bunch, LatticeBunch, Train
 from ..scene.scene import Scene
 from ..stages import beam
 from ..units import SPEED_OF_LIGHT
+from .tallies import with_sources
 
 SAME_TIME = 1e-12  # relative: times of files that differ by less are rounded otherwise
 NO_SPECIES = Species(charge=1.0, mass=1.0)  # of scenes without bunches
@@ -49,7 +50,8 @@ def make_bunches(comm: MPI.Comm, scene: Scene) -> list[Particles]:
         parts += made
         runs.append((first_id, made[0].species.kinds[0]))
         first_id += comm.allreduce(sum(map(len, made)))
-    table = SpeciesTable.of_runs(runs or [(0, NO_SPECIES)])
+    none = [] if scene.sources else [(0, NO_SPECIES)]
+    table = with_sources(runs or none, scene)
     return [replace(part, species=table) for part in parts]
 
 

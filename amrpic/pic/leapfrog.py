@@ -58,6 +58,18 @@ def kick(solution: Solution, particles: Particles, staggered: Staggered, setup: 
     return particles.replace(momentum=_push(solution, particles, staggered.lag, 0.0, 0.0, setup).momentum)
 
 
+def kicked(state: State, newborn: Particles, during: np.ndarray, setup: Setup) -> Particles:
+    """Return particles, sorted on the mesh of a state, with the momenta that its fields at their places give them `during` (n,)
+    s, which may be negative. Collective.
+    """
+    window, most = state.window, np.abs(during).max(initial=0.0) or 1.0
+    fields = setup.external.seen_from(window).fields(newborn.position, state.time) if setup.scene.elements else None
+    if setup.fields:
+        given = setup.fields.at(newborn, state.time, window)
+        fields = given if fields is None else (fields[0] + given[0], fields[1] + given[1])
+    return _push(state.solution, newborn, float(most), 0.0, 0.0, setup, of_fields=fields, parts=during / most)
+
+
 def synchronized(state: State, setup: Setup) -> State:
     """Return the state whose `synchronized` particles have the momenta of its own time in all digits. Collective."""
     staggered = state.staggered
@@ -106,6 +118,7 @@ def _push(
     of_fields: tuple[np.ndarray, np.ndarray] | None = None,
     time: float = 0.0,
     shift: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    parts: np.ndarray | None = None,
 ) -> Particles:
     electric, magnetic = of_fields if of_fields is not None else (None, None)
     if solution.walls is not None:
@@ -132,6 +145,7 @@ def _push(
         external=external,
         time=time,
         shift=shift,
+        parts=parts,
     )
 
 

@@ -24,6 +24,7 @@ from .loss_files import write_losses, write_screens
 from .restart import snapshot
 from .setup import Setup
 from .state import State
+from .tallies import SOURCES, TABLE
 
 RESIDUALS = "residuals.csv"
 HISTORY = (  # of the solves: a row for each guess and each cycle
@@ -55,6 +56,8 @@ class ParticleRecorder(Recorder[State]):
         scene = setup.scene
         super().__init__(setup.comm, scene, setup.clock, state, resumed, log, sum(state.seconds.values()))
         self._residuals = self._open(RESIDUALS, HISTORY)
+        self._sources = self._open(SOURCES, TABLE) if scene.sources else None
+        self._since_sources = state.time  # s, of their latest row
         self._fills, self._beam = Fills(setup.remarks.remark), None
         if "series" in self._wanted:
             self._beam = BeamTables(setup.comm, state, scene, self._about, self._keep, own or {}, self._fills)
@@ -77,11 +80,16 @@ class ParticleRecorder(Recorder[State]):
         return self._setup.dt
 
     def _tables(self) -> list[Series]:
-        residuals = [] if self._residuals is None else [self._residuals]
-        return [*super()._tables(), *residuals, *(self._beam.series if self._beam is not None else [])]
+        tables = [table for table in (self._residuals, self._sources) if table is not None]
+        return [*super()._tables(), *tables, *(self._beam.series if self._beam is not None else [])]
 
     def _add_rows(self, state: State) -> None:
         self._add_history(state.step, state.time)
+        if self._sources is not None:
+            at = {"step": state.step, "time": state.time}
+            rows = state.tallies.rows(self._scene, state.time - self._since_sources)
+            self._sources.add(*({**at, **row} for row in rows))
+            self._since_sources = state.time
         if self._beam is not None:
             self._beam.record(state)
 

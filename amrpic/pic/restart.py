@@ -44,6 +44,7 @@ from .setup import Setup, set_up
 from .solution import Solution
 from .solve import go_without_compensation, solve
 from .state import State
+from .tallies import Tallies, with_sources
 from .time_step import with_time_step
 
 FIELDS = ("rho", "phi", "efield_x", "efield_y", "efield_z")
@@ -57,7 +58,18 @@ ROW_BYTES = (24, 24, 8, 8)  # of each column
 LAGGING_BYTES = 24  # of the momenta that leapfrog keeps beside them
 RECORDED = ("time", "direction", "cause")  # beside them, of particles in a record
 # Parts of a scene that a restart follows from the next step on.
-FOLLOWED = ("seed", "domain", "background", "refinement", "particles", "solver", "motion", "apertures", "screens")
+FOLLOWED = (
+    "seed",
+    "domain",
+    "background",
+    "sources",
+    "refinement",
+    "particles",
+    "solver",
+    "motion",
+    "apertures",
+    "screens",
+)
 
 
 def snapshot(state: State, setup: Setup) -> Snapshot:
@@ -83,6 +95,7 @@ def snapshot(state: State, setup: Setup) -> Snapshot:
             "dt": setup.dt,
             "course": state.course.to_dict(),
             "fields": list(setup.fields.names),
+            "sources": state.tallies.to_list(),
             "compensation_by_auto": setup.compensation_by_auto,
             "servers": state.particles.sorted_on(hierarchy).servers.tolist(),
             "names": {"lost": state.lost.names, "screens": state.screens.names},
@@ -148,7 +161,8 @@ def _mesh_is_another(scene: Scene, header: Header) -> bool:
 
 def _state(setup: Setup, held: Snapshot, stored: Hierarchy, hierarchy: Hierarchy) -> tuple[State, Setup]:
     extra = held.header.extra
-    species, columns, lag = SpeciesTable.from_dict(extra["species"]), held.tables["particles"], extra["lag"]
+    species = with_sources(SpeciesTable.from_dict(extra["species"]).runs, setup.scene)
+    columns, lag = held.tables["particles"], extra["lag"]
     if lag > 0 and setup.scene.motion.follows_fields:
         columns = {**columns, "momentum": columns["lagging_momentum"]}
     else:
@@ -180,7 +194,8 @@ def _state(setup: Setup, held: Snapshot, stored: Hierarchy, hierarchy: Hierarchy
     step, time = held.header.step, held.header.time
     staggered = gather_and_push(solution, beam.particles, lag, step, time, course, setup)
     spent = setup.clock.take()
-    return State(staggered, solution, lost, screens, course, step, time, spent=spent), setup
+    tallies = Tallies.of_scene(setup.scene, extra.get("sources", ()))
+    return State(staggered, solution, lost, screens, tallies, course, step, time, spent=spent), setup
 
 
 def _solution(setup: Setup, fields: Mapping[str, Field], extra: Mapping[str, Any]) -> Solution:

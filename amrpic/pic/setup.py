@@ -22,6 +22,7 @@ from ..scene.scene import Scene
 from ..space_charge.solvers import Solvers
 from ..stages.diagnostics import moments
 from ..stages.encounters import native_aperture
+from .emitters import Emitter, emitters_of
 from .field_functions import FieldFunction, FieldFunctions
 from .movers import Mover, mover_of
 from .remarks import Remarks
@@ -41,6 +42,7 @@ class Setup:
     apertures: list[_native.Aperture]
     move: Mover
     solvers: Solvers
+    emitters: tuple[Emitter, ...]  # the scene's sources
     remarks: Remarks
     clock: Clock = field(default_factory=Clock)
     compensation_by_auto: bool = False  # whether the run chose it by itself
@@ -78,6 +80,7 @@ def set_up(comm: MPI.Comm, scene: Scene, fields: Sequence[FieldFunction] = ()) -
             scene.domain.wall_functions(),
             remarks.remark,
         ),
+        emitters_of(scene),
         remarks,
     )
 

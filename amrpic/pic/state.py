@@ -16,6 +16,7 @@ from .course import Course
 from .records import Record
 from .solution import Solution
 from .staggered import Staggered
+from .tallies import Tallies
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +27,7 @@ class State:
     solution: Solution
     lost: Record  # at faces of the domain and at apertures
     screens: Record  # as they passed these
+    tallies: Tallies  # of the scene's sources
     course: Course
     step: int
     time: float  # s

@@ -12,6 +12,7 @@ from ..mesh.hierarchy import Hierarchy
 from ..run.clock import Spent
 from ..scene.scene import Scene
 from .adapt import follow, make_base, regrid_if_due
+from .births import births
 from .course import Course
 from .field_functions import FieldFunction
 from .flight import Arrived, migrate, place
@@ -30,8 +31,9 @@ def advance(state: State, setup: Setup) -> State:
     step, time, course = state.step + 1, state.time + state.staggered.flight, state.staggered.course
     with setup.clock("push"):
         moved = setup.move(state)
+    born = births(state, setup)
     with setup.clock("migrate"):
-        arrived = migrate(state, moved, setup)
+        arrived = migrate(state, moved, born, setup)
     frames = next_frames(state, arrived.particles, arrived.lost.particles, setup)
     beam = MeshedParticles(arrived.particles, state.hierarchy, frames, arrived.deposition)
     beam = regrid_if_due(beam, state, setup)
@@ -41,7 +43,8 @@ def advance(state: State, setup: Setup) -> State:
     staggered = gather_and_push(solution, beam.particles, setup.dt / 2, step, time, course, setup)
     # Boxes may be cut anew without another cell, as after a restart on other ranks.
     regridded = beam.hierarchy is not state.hierarchy and not beam.hierarchy.same_cells(state.hierarchy)
-    return State(staggered, solution, arrived.lost, arrived.screens, course, step, time, regridded, setup.clock.take())
+    records = arrived.lost, arrived.screens, arrived.tallies
+    return State(staggered, solution, *records, course, step, time, regridded, setup.clock.take())
 
 
 def begin(comm: MPI.Comm, scene: Scene, fields: Sequence[FieldFunction] = ()) -> tuple[State, Setup]:
@@ -56,8 +59,8 @@ def begin(comm: MPI.Comm, scene: Scene, fields: Sequence[FieldFunction] = ()) ->
     solution = solve(beam, rho, None, setup)
     setup = with_time_step(setup, beam, solution, course)
     staggered = gather_and_push(solution, beam.particles, 0.0, 0, start, course, setup)
-    spent = setup.clock.take()
-    return State(staggered, solution, arrived.lost, arrived.screens, course, 0, start, spent=spent), setup
+    records = arrived.lost, arrived.screens, arrived.tallies
+    return State(staggered, solution, *records, course, 0, start, spent=setup.clock.take()), setup
 
 
 def _made(base: Hierarchy, course: Course, setup: Setup) -> tuple[Arrived, float, Setup]:

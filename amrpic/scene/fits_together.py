@@ -32,6 +32,7 @@ def check(scene: SceneParts) -> None:
         _elements,
         _window,
         _names,
+        _sources,
         _bins,
     ):
         fits(scene)
@@ -209,7 +210,8 @@ def _wall_behind(scene: SceneParts, axis: str, ahead: int) -> None:
 
 def _names(scene: SceneParts) -> None:
     screens = [screen.name for screen in scene.screens]
-    for key, names, reserved in (("apertures", aperture_names(scene.apertures), FACES), ("screens", screens, ())):
+    apertures, sources = aperture_names(scene.apertures), [source.name for source in scene.sources if source.name]
+    for key, names, reserved in (("apertures", apertures, FACES), ("screens", screens, ()), ("sources", sources, ())):
         for number, name in repeated_names(names, reserved):
             has_it = "a face of the domain" if name in reserved else f"one of the {key} before it"
             raise complaint(
@@ -218,6 +220,16 @@ def _names(scene: SceneParts) -> None:
                 path=f"{key}.{number}.name",
                 found=name,
             )
+
+
+def _sources(scene: SceneParts) -> None:
+    if scene.sources and not scene.motion.follows_fields:
+        raise complaint(
+            f'have particles that move, and motion.kind is "{scene.motion.kind}"',
+            'set motion.kind to "leapfrog"',
+            path="sources",
+            found="",
+        )
 
 
 def _bins(scene: SceneParts) -> None:

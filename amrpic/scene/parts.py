@@ -25,6 +25,7 @@ from .particles import ParticlesSection
 from .refinement import Refinement
 from .schedule import Schedule
 from .solver_options import SolverSection
+from .sources import AnySource
 from .thermal_bunch import ThermalBunch
 
 OF_POINTS = ("faces", "points", "structure", "materials", "gravity", "floor_stiffness")  # keys of amrpic.mpm.Scene
@@ -57,6 +58,7 @@ class SceneParts(AnyScene):
             Field(discriminator="distribution"),
         ]
     ] = Field(default=[], description="The particles; without any, the scene runs with ρ = 0.")
+    sources: list[AnySource] = Field(default=[], description="Surfaces from which particles come over time.")
     elements: list[AnyElement] = Field(
         default=[], description="Magnets, cavities and other fields along the beam line."
     )

@@ -11,6 +11,7 @@ from typing import Any, Self
 from pydantic import model_validator
 
 from .. import html
+from ..particles.groups import NamedBunches
 from .fits_together import check
 from .obstacles import out_of_reach
 from .parts import SceneParts
@@ -47,6 +48,16 @@ class Scene(SceneParts):
         return sum(bunch.number * bunch.copies for bunch in self.bunches)
 
     @property
+    def source_names(self) -> list[str]:
+        """What the sources are called in outputs."""
+        return [source.name or f"source_{number}" for number, source in enumerate(self.sources)]
+
+    def named_bunches(self) -> list[NamedBunches]:
+        """Return what the particles of each run of ids are called: bunches in their order, and behind them sources."""
+        sources = [NamedBunches(name, 1, 0) for name in self.source_names]
+        return [*(NamedBunches(bunch.name, bunch.copies, bunch.number) for bunch in self.bunches), *sources]
+
+    @property
     def extrapolates_potential(self) -> bool:
         """Whether solves start from what the potentials of the two steps before lead to: of particles that fly on, where few
         cycles are enough."""
@@ -58,6 +69,7 @@ class Scene(SceneParts):
         count = sum(bunch.copies for bunch in self.bunches)
         bunches = f"{count} bunch" if count == 1 else f"{count} bunches"
         of_files = " and those in files" if any(bunch.source for bunch in self.bunches) else ""
+        of_files += f", {len(self.sources)} source{'s' * (len(self.sources) > 1)}" if self.sources else ""
         return (
             f"{self.name}: {cells} cells and {self.refinement.levels} refined levels, {bunches} of "
             f"{self.particle_count()} particles in all{of_files}, {self.schedule.last_step} steps after the first solve"
@@ -76,7 +88,7 @@ class Scene(SceneParts):
     def remarks(self) -> list[str]:
         """Return one sentence for each thing that is legal and yet may not be meant."""
         out = self.domain.remarks()
-        if self.particle_count() == 0 and not any(bunch.source for bunch in self.bunches):
+        if self.particle_count() == 0 and not self.sources and not any(bunch.source for bunch in self.bunches):
             out.append("the scene has zero particles; the field is that of the boundary alone")
         if self.elements and not self.motion.follows_fields:
             out.append(f'elements act on nothing, since motion.kind is "{self.motion.kind}"; set it to "leapfrog"')

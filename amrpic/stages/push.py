@@ -39,6 +39,7 @@ def push(
     external: _native.ExternalFields | None = None,
     time: float = 0.0,
     shift: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    parts: np.ndarray | None = None,
 ) -> Particles:
     """Return the particles after `before` s and a further `after` s in the fields at their places, and a flight of `dt` s.
     Let `migrate` follow.
@@ -48,13 +49,18 @@ def push(
     `electric` (V/m) and `magnetic` (T), (n, 3) at the particles, and those of `external` elements at `time` (s). The two parts
     act one after the other, and what is between them is written into `between`, (n, 3): a second call goes on from there to
     the same, without magnetic fields in all digits. Positions afterwards are those from an origin that is `shift` (m) further
-    on. Magnetic fields turn momenta as Boris (1970), or Higuera and Cary, Phys. Plasmas 24, 052104 (2017), have it. Collective,
-    and as `gather` in all else.
+    on. Magnetic fields turn momenta as Boris (1970), or Higuera and Cary, Phys. Plasmas 24, 052104 (2017), have it. With
+    `parts` (n,) fields act on each particle for another time, this part of `before` and `after`, which may be negative.
+    Collective, and as `gather` in all else.
     """
     hierarchy = efield.hierarchy
     sorting = particles.sorted_on(hierarchy)
     momentum, position = (empty_columns(len(particles)) for _ in range(2))
-    inverse_mass = particles.spread(1 / particles.species.masses)
+    charge, inverse_mass = particles.charge, particles.spread(1 / particles.species.masses)
+    if (
+        parts is not None
+    ):  # all that fields do goes with charge times time; the kernel takes one of both for all, or two for each
+        charge, inverse_mass = charge * parts, np.array(inverse_mass)
     try:
         _native.push(
             hierarchy.particle_mesh,
@@ -63,7 +69,7 @@ def push(
             efield.native,
             *particles.arrays,
             sorting.starts,
-            particles.charge,
+            charge,
             inverse_mass,
             before,
             after,

@@ -1,0 +1,78 @@
+"""Particles that are born in time: those of a step, and their flight to its end."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..particles.arrays import empty_columns
+from ..particles.particles import Particles, concatenate
+from ..stages.migrate import NONE, migrate_without
+from ..units import SPEED_OF_LIGHT
+from .emitters import Span
+from .leapfrog import kicked
+from .setup import Setup
+from .state import State
+from .tallies import Tallies
+
+
+@dataclass(frozen=True, eq=False)
+class Born:
+    """Particles that are born between two states, after their first flight, beside older ones that have moved."""
+
+    particles: Particles  # momenta are half a step before the next state, as those of others; places are seen as theirs
+    start: np.ndarray  # (n, 3) m, where they are born, in the window of the first state
+    momentum: np.ndarray  # (n, 3) kg m/s, with which they are born
+    time: np.ndarray  # (n,) s
+    tallies: Tallies  # then
+
+
+def births(state: State, setup: Setup) -> Born | None:
+    """Return the particles that are born until the next state, None if the scene has no sources. Collective.
+
+    Those that are born τ before it go to x + v τ + a τ²/2, and get the momentum that the field at their place gives them in
+    τ - Δt/2, which is negative for those born late: the whole kick that follows then ends at the time of the others'. None are
+    born outside of the domain.
+    """
+    if not setup.emitters:
+        return None
+    stop = state.time + state.staggered.flight
+    spans = [Span(state.time, stop, tally.drawn) for tally in state.tallies.of]
+    with setup.clock("beam"):
+        here = _sorted(state, spans, setup)
+        time, tallies = np.empty(len(here)), []
+        for emitter, span, tally in zip(setup.emitters, spans, state.tallies.of, strict=True):
+            own = emitter.own(here.id)
+            time[own] = emitter.times(here.id[own] - emitter.first, span)
+            count, charge = setup.comm.allreduce(np.array([own.sum(), (here.weight * here.charge)[own].sum()]))
+            tallies.append(tally.more(emitter.numbers(span).stop, int(count), float(charge)))
+    with setup.clock("push"):
+        moved = _flown(state, here, stop - time, setup)
+    return Born(moved, here.position, here.momentum, time, Tallies(tuple(tallies)))
+
+
+def _sorted(state: State, spans: Sequence[Span], setup: Setup) -> Particles:
+    """Return what is born, at the places of birth and on the ranks that serve these. Collective."""
+    species = state.particles.species
+    made = [e.newborn(setup.comm, span, species) for e, span in zip(setup.emitters, spans, strict=True)]
+    newborn = concatenate(made).seen_from(state.window)
+    servers = state.particles.sorted_on(state.hierarchy).servers
+    here, _, outside = migrate_without(newborn, state.hierarchy, NONE, servers)
+    if outside:
+        setup.remarks.remark(
+            f"{outside} particles of sources would be born outside of the domain in step {state.step + 1}, and are not; "
+            "keep sources inside",
+            "sources outside",
+        )
+    return here
+
+
+def _flown(state: State, newborn: Particles, left: np.ndarray, setup: Setup) -> Particles:
+    """Return particles after a flight of `left` (n,) s to the next state, and seen as older ones are then. Collective."""
+    halfway, momentum = (kicked(state, newborn, time, setup).momentum for time in (left / 2, left - setup.dt / 2))
+    mass, position = newborn.mass, empty_columns(len(newborn))
+    gamma = np.sqrt(1 + np.square(halfway / (mass * SPEED_OF_LIGHT)[:, None]).sum(axis=1))
+    position[...] = newborn.position + halfway * (left / (gamma * mass))[:, None]
+    return newborn.replace(position, momentum).in_laboratory(state.window).seen_from(state.staggered.course.window)

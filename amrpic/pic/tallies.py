@@ -1,0 +1,72 @@
+"""What the sources of a run have given up to a state."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Self
+
+from ..errors import InputError
+from ..particles.species import Species, SpeciesTable
+from ..scene.scene import Scene
+from ..scene.sources import first_ids
+from ..units import Quantity
+
+SOURCES = "sources.csv"
+COLUMNS = ("source", "born_particles", "born_charge", "current")
+TABLE = (
+    Quantity("step", counts=True),
+    Quantity("time", "s"),
+    Quantity("source", is_text=True),
+    Quantity("born_particles", counts=True),
+    Quantity("born_charge", "C"),
+    Quantity("current", "A"),  # mean of the latest step
+)
+
+
+@dataclass(frozen=True)
+class Tally:
+    """What a source has given, on all ranks."""
+
+    drawn: int = 0  # of its particles' numbers that are used up
+    particles: int = 0  # macroparticles that were born in the domain
+    charge: float = 0.0  # C, theirs
+    latest: float = 0.0  # C, of those of the latest step
+
+    def more(self, drawn: int, particles: int, charge: float) -> Tally:
+        """Return the tally after a step that gives so much."""
+        return Tally(max(self.drawn, drawn), self.particles + particles, self.charge + charge, charge)
+
+
+@dataclass(frozen=True)
+class Tallies:
+    """Those of all sources of a scene."""
+
+    of: tuple[Tally, ...] = ()
+
+    @classmethod
+    def of_scene(cls, scene: Scene, known: Sequence[Mapping[str, Any]] = ()) -> Self:
+        """Return those before the first birth; what is `known`, by `to_list`, goes on."""
+        return cls((*(Tally(**tally) for tally in known), *(Tally() for _ in scene.sources[len(known) :])))
+
+    def rows(self, scene: Scene, duration: float) -> Iterator[dict[str, float | str]]:
+        """Yield what `SOURCES` has of each source, after a latest step of so many s."""
+        for name, tally in zip(scene.source_names, self.of, strict=True):
+            current = tally.latest / duration if duration > 0 else 0.0
+            yield dict(zip(COLUMNS, (name, tally.particles, tally.charge, current), strict=True))
+
+    def to_list(self) -> list[dict[str, Any]]:
+        """Return what JSON can hold; numbers keep every bit."""
+        return [asdict(tally) for tally in self.of]
+
+
+def with_sources(known: Iterable[tuple[int, Species]], scene: Scene) -> SpeciesTable:
+    """Return the species of runs of ids and of sources, which may have none yet. InputError if a source had others before."""
+    runs = dict(known)
+    for number, (first, source) in enumerate(zip(first_ids(scene.sources), scene.sources, strict=True)):
+        if runs.setdefault(first, source.species) != source.species:
+            raise InputError(
+                f"sources.{number} is of {source.species}, and was of {runs[first]} up to the checkpoint; give it "
+                "that species, and add another source behind the others"
+            )
+    return SpeciesTable.of_runs(sorted(runs.items()))

@@ -1,0 +1,193 @@
+"""The sections [[sources]] of a scene: surfaces from which particles come over time."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from ..mesh.directions import axes
+from ..mesh.domain import FACES
+from ..particles.sampling import Sampling
+from ..particles.species import SPECIES
+from ..units import SPEED_OF_LIGHT
+from .complaints import complaint
+from .emitted_momenta import MOST_OF_REST, AnyMomenta, ColdMomenta
+from .obstacles import Obstacle
+from .pulses import AnyPulse, SteadyPulse
+from .section import Section
+from .species import Species
+from .spots import AnySpot
+from .units import Angle, Charge, Current, Length3
+
+
+class PlaneSection(Section):
+    """A plane in the scene, from which particles leave along its own z."""
+
+    centre: Length3 = Field(default=(0.0, 0.0, 0.0), description="Origin of the plane's own coordinates, m.")
+    direction: tuple[float, float, float] = Field(
+        default=(0.0, 0.0, 1.0), description="Where its own z points to, along which particles leave; any length but 0."
+    )
+    roll: Angle = Field(default=0.0, description="Turn about it, from its own x towards y, rad.")
+
+    @model_validator(mode="after")
+    def _has_direction(self) -> Self:
+        if not any(self.direction):
+            raise complaint("points nowhere", "give a vector such as [0, 0, 1]", path="direction", found=self.direction)
+        return self
+
+
+class Source(Obstacle):
+    """What all sources have. Particles are born on a face of the domain, or on a plane inside."""
+
+    name: str = Field(default="", description="A name of your own, kept in the outputs; source_0, … if not given.")
+    species: Species = Field(
+        default=SPECIES["electron"], description="A name, or charge (C) and mass (kg) of one real particle."
+    )
+    face: Literal[FACES] | None = Field(  # type: ignore[valid-type]
+        default=None, description="Face of the domain that particles leave, such as z_lower."
+    )
+    plane: PlaneSection | None = Field(default=None, description="A plane, in place of a face.")
+    spot: AnySpot | None = Field(
+        default=None, description="Where on it; without one evenly on all of the face. A plane needs one."
+    )
+    momenta: AnyMomenta = Field(default=ColdMomenta(), description="With which particles are born.")
+
+    @model_validator(mode="after")
+    def _one_surface(self) -> Self:
+        if (self.face is None) == (self.plane is None):
+            what = "is missing" if self.face is None else "is given as well as plane"
+            raise complaint(what, "name one face, or give a plane", path="face", found=self.face or "nothing")
+        if self.plane is not None and self.spot is None:
+            raise complaint("is missing on a plane, which has no end", "add one", path="spot", found="nothing")
+        if self.species.charge == 0:
+            raise complaint("has no charge, by which sources count", "take a charged one", path="species", found="")
+        most = self.momenta.largest_energy() / (self.species.mass * SPEED_OF_LIGHT**2)
+        if most > MOST_OF_REST:
+            raise complaint(
+                f"has an energy of {most:.2g} m c², where its formulas are not relativistic",
+                'use kind = "beam", or correct the unit',
+                path="momenta",
+                found=self.momenta.kind,
+            )
+        return self
+
+    @property
+    def face_number(self) -> int | None:
+        """Index of the face in `FACES`."""
+        return None if self.face is None else FACES.index(self.face)
+
+    def frame(self, lower: tuple[float, ...], upper: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the origin (3,) in m, and as rows (3, 3) unit vectors across and the normal, in a domain of these corners."""
+        if self.plane is not None:
+            return np.array(self.plane.centre), np.array(axes(self.plane.direction, self.plane.roll))
+        assert self.face_number is not None
+        axis, side = divmod(self.face_number, 2)
+        rows = [np.eye(3)[other] for other in range(3) if other != axis]
+        origin = np.where(np.arange(3) == axis, (lower, upper)[side], 0.0)
+        return origin, np.array([*rows, (1 - 2 * side) * np.eye(3)[axis]])
+
+
+class GivenSource(Source):
+    """A source whose charge in time is given."""
+
+    process: Literal["given"] = "given"
+    pulse: AnyPulse = Field(default=SteadyPulse(), description="How the charge comes in time.")
+    charge: Charge | None = Field(default=None, description="Of all of the pulse, C; has the sign of the species.")
+    current: Current | None = Field(
+        default=None, description="Of a steady pulse, in place of a charge, A; has the sign of the species."
+    )
+    particles: int | None = Field(
+        default=None, ge=1, description="Macroparticles of all of the pulse, each with the same charge."
+    )
+    particle_charge: Charge | None = Field(
+        default=None, description="Charge of one macroparticle, C, in place of their number."
+    )
+    per_step: int | None = Field(
+        default=None,
+        ge=1,
+        description="Macroparticles per step, in place of their number: they share what is born in it, evenly in time.",
+    )
+    sampling: Sampling = Field(
+        default="random",
+        description="How places and momenta are drawn: at random, or quiet by sobol or halton. Times of birth are quiet "
+        "always: one in each part of the pulse that has the charge of a macroparticle.",
+    )
+
+    @model_validator(mode="after")
+    def _amounts(self) -> Self:
+        steady = isinstance(self.pulse, SteadyPulse)
+        key, other = ("current", "charge") if steady else ("charge", "current")
+        if getattr(self, other) is not None:
+            raise complaint(
+                f"is not what a {self.pulse.shape} pulse has", f"give its {key}", path=other, found=getattr(self, other)
+            )
+        amount = getattr(self, key)
+        if amount is None:
+            raise complaint("is missing", f"add the {key} of the source", path=key, found="nothing")
+        for name in (key, "particle_charge"):
+            value = getattr(self, name)
+            if value is not None and not value * self.species.charge > 0:
+                raise complaint(
+                    f"has not the sign of the {self.species.charge:g} C of its species",
+                    "change it or the species",
+                    path=name,
+                    found=value,
+                )
+        numbers = [name for name in ("particles", "particle_charge", "per_step") if getattr(self, name) is not None]
+        if len(numbers) != 1:
+            raise complaint(
+                "must be given, or else particle_charge or per_step, and one of them alone",
+                "keep one of the three",
+                path="particles",
+                found=", ".join(numbers) or "nothing",
+            )
+        if self.particles is not None and math.isinf(self.pulse.duration):
+            raise complaint(
+                "is a number for a pulse without an end",
+                "give particle_charge or per_step",
+                path="particles",
+                found=self.particles,
+            )
+        return self
+
+    @property
+    def total(self) -> float:
+        """Charge of all that is ever born, C."""
+        return self.current * self.pulse.duration if self.current is not None else self.charge or 0.0
+
+    def charge_until(self, time: float) -> float:
+        """Return the charge in C that is born until a time in s."""
+        if self.current is not None:
+            return self.current * min(max(time - self.pulse.start, 0.0), self.pulse.duration)
+        return self.total * float(self.pulse.share(time))
+
+    def time_of(self, charge: np.ndarray) -> np.ndarray:
+        """Return the times in s until which so much charge is born, C."""
+        if self.current is not None:
+            return self.pulse.start + charge / self.current
+        return self.pulse.time_of(charge / self.total)
+
+    @property
+    def unit_charge(self) -> float | None:
+        """Charge in C of each macroparticle, if all have the same."""
+        return self.particle_charge if self.particles is None else self.total / self.particles
+
+    def expected(self, start: float, stop: float, dt: float) -> int:
+        """Return how many macroparticles are born between two times in s, by steps of `dt` s."""
+        charge = self.charge_until(stop) - self.charge_until(start)
+        if self.unit_charge is not None:
+            return round(charge / self.unit_charge)
+        first, last = max(start, self.pulse.start), min(stop, self.pulse.start + self.pulse.duration)
+        return (self.per_step or 0) * math.ceil(max(last - first, 0.0) / dt)
+
+
+def first_ids(sources: list[Any]) -> list[int]:
+    """Return the first id of each source: behind those of all bunches, and so far apart that none comes to the next."""
+    return [(number + 1) * IDS for number in range(len(sources))]
+
+
+IDS = 2**48  # of a source
+AnySource = GivenSource

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 from . import _native
 
-# CODATA 2022; the charge and the speed of light are exact.
+# CODATA 2022; the charge, the speed of light and Boltzmann's constant are exact.
 ELEMENTARY_CHARGE = 1.602176634e-19  # C
 SPEED_OF_LIGHT = 299792458.0  # m/s
 VACUUM_PERMITTIVITY = _native.vacuum_permittivity  # F/m
+BOLTZMANN = 1.380649e-23  # J/K
 ELECTRON_MASS = 9.1093837139e-31  # kg
 PROTON_MASS = 1.67262192595e-27  # kg
 DEUTERON_MASS = 3.3435837768e-27  # kg
@@ -40,6 +41,8 @@ UNITS: dict[str, dict[str, float]] = {
         **{"mC": 1e-3, "uC": 1e-6, "µC": 1e-6, "nC": 1e-9, "pC": 1e-12, "fC": 1e-15, "e": ELEMENTARY_CHARGE},
     },
     "current": {"A": 1.0, "mA": 1e-3, "uA": 1e-6, "µA": 1e-6, "nA": 1e-9, "kA": 1e3},
+    "current density": {"A/m^2": 1.0, "A/cm^2": 1e4, "mA/cm^2": 10.0, "A/mm^2": 1e6},
+    "temperature": {"K": 1.0},
     "mass": {
         "kg": 1.0,
         **{f"{unit}/c^2": value / SPEED_OF_LIGHT**2 for unit, value in _ENERGY.items() if unit.endswith("eV")},

@@ -158,7 +158,7 @@ def frames_of(
         else:
             frames, flows = _framed(comm, particles, domain, choice, last, (last.axis, last.edges, last.of))
             frames = replace(frames, error=last.error, across=last.across, motion=last.motion, moves=vector(moves))
-            _require_slow_in_laboratory(comm, particles, choice, frames, flows)
+            _require_slow_in_laboratory(comm, particles, domain, choice, frames, flows)
         if not _has_changed(_motion(comm, particles, frames), last.motion):
             return frames
     mean, square = momenta_of(comm, particles)
@@ -172,7 +172,7 @@ def frames_of(
     edges, groups = ((), [ALL]) if one_frame else _divided(comm, particles, axis, bins)
     frames, flows = _framed(comm, particles, domain, choice, last, (axis, edges, groups))
     frames = _errors(comm, particles, frames, flows)
-    _require_slow_in_laboratory(comm, particles, choice, frames, flows)
+    _require_slow_in_laboratory(comm, particles, domain, choice, frames, flows)
     return replace(frames, moves=vector(moves), motion=_motion(comm, particles, frames))
 
 
@@ -215,9 +215,11 @@ def _has_changed(motion: Sequence[Sequence[float]], before: Sequence[Sequence[fl
 
 
 def _require_slow_in_laboratory(
-    comm: MPI.Comm, particles: Particles, choice: str, frames: Frames, flows: Sequence[Flow]
+    comm: MPI.Comm, particles: Particles, domain: Domain, choice: str, frames: Frames, flows: Sequence[Flow]
 ) -> None:
     """Raise InputError on all ranks if the laboratory is chosen for charge whose magnetic field counts."""
+    if _leaves_no_way_round(domain, frames.axis):
+        return  # no other frame is better
     if choice == "lab" and (error := max(frames.error - frames.across, flows[0].beta @ flows[0].beta)) > SLOW:
         speed = math.sqrt(left(comm, particles, LABORATORY).square.sum())
         raise InputError(
@@ -242,6 +244,15 @@ def _off_axis(flow: Flow, axis: int) -> float:
     return float(across / abs(flow.beta[axis]) / math.sqrt(flow.per_gamma_square)) if across > 0 else 0.0
 
 
+def _sides(domain: Domain, axis: int) -> set[str]:
+    return {kind for other in range(3) if other != axis for kind in domain.boundary[other]}
+
+
+def _leaves_no_way_round(domain: Domain, axis: int) -> bool:
+    """Whether the current along an axis has no magnetic field: it ends at a wall, and repeats without end beside itself."""
+    return bool(_walls(domain, axis)) and _sides(domain, axis) <= {"neumann", "periodic"}
+
+
 def _walls(domain: Domain, axis: int) -> list[str]:
     return [kind for kind in domain.boundary[axis] if kind in SIGNS]
 
@@ -264,12 +275,13 @@ def _require_along(
         if not fast:
             continue
         speed = max(abs(flows[n].beta[axis]) for n in fast)
-        sides = {kind for side_axis in range(3) if side_axis != axis for kind in domain.boundary[side_axis]}
-        if (walls := _walls(domain, axis)) and sides <= {"neumann", "periodic"}:
+        if _leaves_no_way_round(domain, axis):
+            sides = " or ".join(sorted(_sides(domain, axis)))
             raise InputError(
-                f"a face across the motion along {AXES[axis]} is {walls[0]} and all sides are {' or '.join(sorted(sides))}, "
+                f"a face across the motion along {AXES[axis]} is {_walls(domain, axis)[0]} and all sides are {sides}, "
                 f"round which particles of {speed:.3g} c have no magnetic field for their current; make a side "
-                f'"open" or "dirichlet", or both faces of {AXES[axis]} "open" or "periodic"'
+                f'"open" or "dirichlet", or both faces of {AXES[axis]} "open" or "periodic", or set motion.frame to "lab" '
+                "for a field without one"
             )
         along = sum(flows[n].charge * abs(flows[n].beta[axis]) for n in fast)
         across = [np.delete(flows[n].charge * flows[n].beta, axis) for n in fast]

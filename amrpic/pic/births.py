@@ -39,7 +39,7 @@ def births(state: State, setup: Setup) -> Born | None:
     if not setup.emitters:
         return None
     stop = state.time + state.staggered.flight
-    spans = [Span(state.time, stop, tally.drawn) for tally in state.tallies.of]
+    spans = [_span(state, stop, n, setup) for n in range(len(setup.emitters))]
     with setup.clock("beam"):
         here = _sorted(state, spans, setup)
         time, tallies = np.empty(len(here)), []
@@ -51,6 +51,15 @@ def births(state: State, setup: Setup) -> Born | None:
     with setup.clock("push"):
         moved = _flown(state, here, stop - time, setup)
     return Born(moved, here.position, here.momentum, time, Tallies(tuple(tallies)))
+
+
+def _span(state: State, stop: float, number: int, setup: Setup) -> Span:
+    """Return what a source knows of a step."""
+    face = setup.emitters[number].source.face_number
+    layer = None if face is None else state.solution.layers.get(face)
+    external = setup.external.seen_from(state.window) if setup.scene.elements else None
+    added = None if external is None else lambda places: external.fields(places, state.time)[0]
+    return Span(state.time, stop, state.tallies.of[number].drawn, layer, added)
 
 
 def _sorted(state: State, spans: Sequence[Span], setup: Setup) -> Particles:

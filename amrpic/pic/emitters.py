@@ -6,7 +6,9 @@ from seed and id, so they are the same on any ranks and after a restart.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -19,7 +21,9 @@ from ..particles.particles import Particles
 from ..particles.sampling import draw
 from ..particles.species import SpeciesTable
 from ..scene.scene import Scene
-from ..scene.sources import IDS, GivenSource, Source, first_ids
+from ..scene.sources import IDS, GivenSource, Source, WallSource, first_ids
+from ..stages.wall_layer import Columns, WallLayer
+from ..units import VACUUM_PERMITTIVITY
 
 BIRTH = 4  # stream of the counter-based generator
 Kind = TypeVar("Kind", bound=Source)
@@ -32,6 +36,8 @@ class Span:
     start: float  # s
     stop: float  # s
     used: int
+    layer: WallLayer | None = None  # at the source's face, if that is a wall
+    added: Callable[[np.ndarray], np.ndarray] | None = None  # E (n, 3) in V/m at places (n, 3), beside that of the mesh
 
 
 class Emitter(ABC, Generic[Kind]):
@@ -64,24 +70,36 @@ class Emitter(ABC, Generic[Kind]):
         first, last = (all_.start + n for n in share(comm, len(all_)))
         number, u = np.arange(first, last), self.draws(first, last)
         time = self.times(number, span)
-        normal, *across = self.source.momenta.momenta(u[2:5], self.source.species.mass)
-        position = self._origin + self._places(u[:2]).T @ self._axes[:2]
+        normal, *across = self.source.emitted.momenta(u[2:5], self.source.species.mass)
+        places = self.places(number, u[:2], span)
+        position = self._origin + places.T @ self._axes[:2]
         momentum = np.stack([*across, normal], axis=1) @ self._axes
-        made = Particles(position, momentum, self.weights(number, span), number + self.first, species)
-        return made.select(np.flatnonzero((span.start <= time) & (time < span.stop)))
+        weight = self.weights(number, span)
+        made = Particles(position, momentum, weight, number + self.first, species)
+        return made.select(
+            np.flatnonzero((span.start <= time) & (time < span.stop) & (weight > 0) & self.holds(places))
+        )
+
+    def places(self, number: np.ndarray, u: np.ndarray, span: Span) -> np.ndarray:
+        """Return places (2, n) of particles on the surface, m."""
+        if self.source.spot is not None:
+            return self.source.spot.place(u)
+        lower, upper = (np.array(corner)[self._across, None] for corner in (self._domain.lower, self._domain.upper))
+        return lower + (upper - lower) * u
+
+    def holds(self, places: np.ndarray) -> np.ndarray:
+        """Return whether the surface emits at places (2, n)."""
+        return np.ones(places.shape[1], dtype=bool)
 
     def own(self, ids: np.ndarray) -> np.ndarray:
         """Return which ids are those of this source."""
         return ids // IDS == self.first // IDS
 
-    def _places(self, u: np.ndarray) -> np.ndarray:
-        """Return places (2, n) on the surface, m."""
-        if self.source.spot is not None:
-            return self.source.spot.place(u)
+    @property
+    def _across(self) -> list[int]:
+        """The axes of the source's face."""
         assert self.source.face_number is not None
-        across = [axis for axis in range(3) if axis != self.source.face_number // 2]
-        lower, upper = (np.array(corner)[across, None] for corner in (self._domain.lower, self._domain.upper))
-        return lower + (upper - lower) * u
+        return [axis for axis in range(3) if axis != self.source.face_number // 2]
 
     def _uniform(self, number: np.ndarray) -> np.ndarray:
         """Return a number in (0, 1) for the time of birth of each particle."""
@@ -145,9 +163,78 @@ class PerStep(OfGivenCharge):
         return max(span.start, pulse.start), min(span.stop, pulse.start + pulse.duration)
 
 
+class OfWall(Emitter[WallSource]):
+    """A wall whose field decides what it gives: so many macroparticles in each step from each face of a cell, even in both."""
+
+    def numbers(self, span: Span) -> range:
+        begin, end = self._living(span)
+        return range(span.used, span.used + self.source.per_face * len(self._emitting(span)) * (begin < end))
+
+    def times(self, number: np.ndarray, span: Span) -> np.ndarray:
+        begin, end = self._living(span)
+        part = (number - span.used) % self.source.per_face + self._uniform(number)
+        return begin + (end - begin) * part / self.source.per_face
+
+    def places(self, number: np.ndarray, u: np.ndarray, span: Span) -> np.ndarray:
+        columns, which = self._columns(span), self._column(number, span)
+        return (columns.corner[which][:, self._across] + columns.width[which][:, self._across] * u.T).T
+
+    def holds(self, places: np.ndarray) -> np.ndarray:
+        return super().holds(places) if self.source.spot is None else self.source.spot.holds(places)
+
+    def weights(self, number: np.ndarray, span: Span) -> np.ndarray:
+        which, columns = self._column(number, span), self._columns(span)
+        charge = self.surface_charge(which, span) * columns.area[which]
+        return charge / (abs(self.source.species.charge) * self.source.per_face)
+
+    def surface_charge(self, which: np.ndarray, span: Span) -> np.ndarray:
+        """Return what is born in a step on the faces of some columns, C/m² without sign."""
+        assert span.layer is not None
+        field = span.layer.at_wall[which]
+        if span.added is not None:
+            field = field + span.added(span.layer.columns.centre[which]) @ self._axes[2]
+        pull = field * np.sign(self.source.species.charge)
+        begin, end = self._living(span)
+        supplied = self.source.current_density(pull) * (end - begin)
+        most = VACUUM_PERMITTIVITY * np.maximum(pull, 0.0)
+        return np.minimum(supplied, most) if self.source.is_limited else supplied
+
+    def _columns(self, span: Span) -> Columns:
+        assert span.layer is not None
+        return span.layer.columns
+
+    def _emitting(self, span: Span) -> np.ndarray:
+        """Return the columns with a face that reaches into the spot; none where the window has left the wall."""
+        if span.layer is None:
+            return np.zeros(0, dtype=np.int64)
+        columns = span.layer.columns
+        if self.source.spot is None:
+            return np.arange(len(columns))
+        low = columns.corner[:, self._across]
+        lower, upper = self.source.spot.reach
+        return np.flatnonzero(((low < upper) & (low + columns.width[:, self._across] > lower)).all(axis=1))
+
+    def _column(self, number: np.ndarray, span: Span) -> np.ndarray:
+        return self._emitting(span)[(number - span.used) // self.source.per_face]
+
+    def _living(self, span: Span) -> tuple[float, float]:
+        """Return the part of a step in which the wall emits, s."""
+        stop = math.inf if self.source.stop is None else self.source.stop
+        return max(span.start, self.source.start), min(span.stop, stop)
+
+
 def emitters_of(scene: Scene) -> tuple[Emitter, ...]:
     """Return the sources of a scene as steps use them."""
-    return tuple(
-        (OfOneCharge if source.unit_charge is not None else PerStep)(source, first, scene)
-        for source, first in zip(scene.sources, first_ids(scene.sources), strict=True)
-    )
+    firsts = first_ids(scene.sources)
+    return tuple(_emitter(source, first, scene) for source, first in zip(scene.sources, firsts, strict=True))
+
+
+def _emitter(source: Source, first: int, scene: Scene) -> Emitter:
+    match source:
+        case WallSource():
+            return OfWall(source, first, scene)
+        case GivenSource(unit_charge=None):
+            return PerStep(source, first, scene)
+        case GivenSource():
+            return OfOneCharge(source, first, scene)
+    raise TypeError(f"no way to emit from {source}")

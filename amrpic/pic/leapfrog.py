@@ -130,6 +130,10 @@ def _push(
         electric = _sum(electric, of_images[0])
         if solution.images.frames.only != LABORATORY:
             magnetic = _sum(magnetic, of_images[1])
+    if solution.layers:
+        electric = np.zeros((len(particles), 3)) if electric is None else electric
+        for layer in solution.layers.values():
+            layer.correct(electric, particles, setup.clouds.shape)
     return push(
         solution.efield,
         particles,

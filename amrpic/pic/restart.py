@@ -42,7 +42,7 @@ from .meshed import MeshedParticles, deposit
 from .records import Record
 from .setup import Setup, set_up
 from .solution import Solution
-from .solve import go_without_compensation, solve
+from .solve import go_without_compensation, solve, with_layers
 from .state import State
 from .tallies import Tallies, with_sources
 from .time_step import with_time_step
@@ -186,6 +186,8 @@ def _state(setup: Setup, held: Snapshot, stored: Hierarchy, hierarchy: Hierarchy
         beam = replace(beam, frames=mirrored(last.frames, last.frames, setup.scene, course.window))
         beam = follow(beam, last, setup)
         solution = solve(beam, deposit(beam, setup), last, setup)
+    else:
+        solution = with_layers(solution, particles, setup)
     lost, screens = (_recorded(held.tables[of], species, extra["names"][of]) for of in ("lost", "screens"))
     if held.header.about.scene["motion"].get("dt") == "auto" and math.isnan(setup.dt):
         setup = replace(setup, dt=extra["dt"])

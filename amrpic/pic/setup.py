@@ -23,6 +23,7 @@ from ..space_charge.solvers import Solvers
 from ..stages.diagnostics import moments
 from ..stages.encounters import native_aperture
 from .emitters import Emitter, emitters_of
+from .emitting_walls import EmittingWalls
 from .field_functions import FieldFunction, FieldFunctions
 from .movers import Mover, mover_of
 from .remarks import Remarks
@@ -43,6 +44,7 @@ class Setup:
     move: Mover
     solvers: Solvers
     emitters: tuple[Emitter, ...]  # the scene's sources
+    emitting_walls: EmittingWalls
     remarks: Remarks
     clock: Clock = field(default_factory=Clock)
     compensation_by_auto: bool = False  # whether the run chose it by itself
@@ -81,6 +83,7 @@ def set_up(comm: MPI.Comm, scene: Scene, fields: Sequence[FieldFunction] = ()) -
             remarks.remark,
         ),
         emitters_of(scene),
+        EmittingWalls(scene),
         remarks,
     )
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -13,6 +13,7 @@ from ..mesh.hierarchy import Hierarchy
 from ..particles.energy_bins import ONE_FRAME, Frames
 from ..particles.frame import Frame
 from ..stages.poisson import SolveReport
+from ..stages.wall_layer import WallLayer
 from ..units import SPEED_OF_LIGHT
 
 Part = tuple[Frame, Field, VectorField, SolveReport]  # φ and E of a bin or of its images, solved for in a frame
@@ -37,6 +38,7 @@ class Solution:
         None  # φ and E of what walls hold, where those above are without: see `Solvers.walls`
     )
     images: Solution | None = None  # of the images of the charge in walls across its motion, which move against it
+    layers: Mapping[int, WallLayer] = field(default_factory=dict)  # at walls that emit, by the number of their face
 
     @cached_property
     def potential(self) -> Field:
@@ -107,12 +109,12 @@ def superposed(
     hierarchy = rho.hierarchy
     phi, electric, magnetic = Field(hierarchy, "V"), zeros(hierarchy, "V/m"), zeros(hierarchy, "T")
     phi.holds = parts[0][1].holds
-    for frame, part, field, _ in parts:
+    for frame, part, efield, _ in parts:
         _add(phi, 1.0, part)
-        field = field.with_components()
-        for total, component in zip(electric.components, field.components, strict=True):
+        efield = efield.with_components()
+        for total, component in zip(electric.components, efield.components, strict=True):
             _add(total, 1.0, component)
-        add_magnetic(magnetic, field, frame.beta)
+        add_magnetic(magnetic, efield, frame.beta)
     report = max((of_part[3] for of_part in parts), key=lambda report: report.cycles)
     return Solution(rho, phi, electric, report, frames, tuple(of_part[1] for of_part in parts), magnetic, walls=walls)
 

@@ -12,6 +12,7 @@ from ..parallel import global_sum
 from ..particles.energy_bins import Frames
 from ..particles.frame import LABORATORY, Frame
 from ..particles.motion_of_charge import charges
+from ..particles.particles import Particles
 from ..space_charge.self_field import self_field
 from ..stages.deposit import deposit
 from ..stages.poisson import SolveReport
@@ -36,8 +37,18 @@ def solve(beam: MeshedParticles, rho: Field, last: Solution | None, setup: Setup
     if beam.frames.only != LABORATORY:
         _require_balance(rho, deposited, setup)
     if beam.frames.only is not None:
-        return _in_one_frame(beam.frames.only, beam, rho, last, deposited, setup)
-    return _in_many_frames(beam, rho, last, setup)
+        solution = _in_one_frame(beam.frames.only, beam, rho, last, deposited, setup)
+    else:
+        solution = _in_many_frames(beam, rho, last, setup)
+    return with_layers(solution, beam.particles, setup)
+
+
+def with_layers(solution: Solution, particles: Particles, setup: Setup) -> Solution:
+    """Return a solution of particles with the layers at walls that emit. Collective."""
+    if not setup.emitting_walls.faces:
+        return solution
+    with setup.clock("solve"):
+        return replace(solution, layers=setup.emitting_walls.layers(solution, particles))
 
 
 def _in_one_frame(

@@ -12,6 +12,7 @@ from .elements import ConstantFocusingElement
 from .obstacles import aperture_names, repeated_names
 from .parts import SceneParts
 from .refinement_rules import StaticBox, StaticRule, every_rule
+from .sources import WallSource
 
 MOST_BINS = 1_000_000  # of a map of losses
 MOST_BLOCKS = 2**20  # of a level along an axis: `native/mesh/hierarchy.cpp`
@@ -230,6 +231,23 @@ def _sources(scene: SceneParts) -> None:
             path="sources",
             found="",
         )
+    for number, source in enumerate(scene.sources):
+        face = source.face_number
+        kind = None if face is None else scene.domain.value.boundary[face // 2][face % 2]
+        if isinstance(source, WallSource) and kind != "dirichlet":
+            raise complaint(
+                f"is {kind}, where the field at it does not decide on what is emitted",
+                'make that face of domain.boundary dirichlet, or give the charge of the source (process = "given")',
+                path=f"sources.{number}.face",
+                found=source.face,
+            )
+        if kind == "dirichlet" and scene.solver.order != 2:
+            raise complaint(
+                f"is {scene.solver.order}, and the field at walls that emit is known for 2 alone",
+                "set it to 2",
+                path="solver.order",
+                found=scene.solver.order,
+            )
 
 
 def _bins(scene: SceneParts) -> None:

@@ -67,7 +67,8 @@ class Leapfrog(Section):
         default="auto",
         description="Where the self-field is electrostatic. rest: in the frame in which the charge of each part rests in the "
         "mean, along a mesh axis, so that the laboratory has its magnetic field too; lab: in the laboratory, without one, "
-        "refused where that is more than 1 % of the force, of a single beam above β² = 0.01; auto: lab for parts below "
+        "refused where that is more than 1 % of the force, of a single beam above β² = 0.01, unless a current between walls "
+        "repeats without end beside itself, which has no such field; auto: lab for parts below "
         "β² = 1e-4, else rest.",
     )
     energy_bins: Literal["auto"] | Annotated[int, Field(ge=1)] = Field(

@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Literal, Self
+from collections.abc import Sequence
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from ..mesh.directions import axes
 from ..mesh.domain import FACES
+from ..particles.emission import fowler_nordheim, richardson
 from ..particles.sampling import Sampling
 from ..particles.species import SPECIES
-from ..units import SPEED_OF_LIGHT
+from ..units import BOLTZMANN, SPEED_OF_LIGHT
 from .complaints import complaint
-from .emitted_momenta import MOST_OF_REST, AnyMomenta, ColdMomenta
+from .emitted_momenta import MOST_OF_REST, AnyMomenta, ColdMomenta, ThermalMomenta
 from .obstacles import Obstacle
 from .pulses import AnyPulse, SteadyPulse
 from .section import Section
 from .species import Species
-from .spots import AnySpot
-from .units import Angle, Charge, Current, Length3
+from .spots import AnySpot, DiscSpot, RectangleSpot
+from .units import Angle, Charge, Current, CurrentDensity, Energy, Length3, Temperature, Time
 
 
 class PlaneSection(Section):
@@ -64,13 +66,13 @@ class Source(Obstacle):
             raise complaint("is missing on a plane, which has no end", "add one", path="spot", found="nothing")
         if self.species.charge == 0:
             raise complaint("has no charge, by which sources count", "take a charged one", path="species", found="")
-        most = self.momenta.largest_energy() / (self.species.mass * SPEED_OF_LIGHT**2)
+        most = self.emitted.largest_energy() / (self.species.mass * SPEED_OF_LIGHT**2)
         if most > MOST_OF_REST:
             raise complaint(
                 f"has an energy of {most:.2g} m c², where its formulas are not relativistic",
                 'use kind = "beam", or correct the unit',
                 path="momenta",
-                found=self.momenta.kind,
+                found=self.emitted.kind,
             )
         return self
 
@@ -78,6 +80,11 @@ class Source(Obstacle):
     def face_number(self) -> int | None:
         """Index of the face in `FACES`."""
         return None if self.face is None else FACES.index(self.face)
+
+    @property
+    def emitted(self) -> AnyMomenta:
+        """With which momenta particles are born."""
+        return self.momenta
 
     def frame(self, lower: tuple[float, ...], upper: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
         """Return the origin (3,) in m, and as rows (3, 3) unit vectors across and the normal, in a domain of these corners."""
@@ -184,10 +191,101 @@ class GivenSource(Source):
         return (self.per_step or 0) * math.ceil(max(last - first, 0.0) / dt)
 
 
-def first_ids(sources: list[Any]) -> list[int]:
+class WallSource(Source):
+    """A Dirichlet face of the domain that emits by itself, from each face of a cell on it."""
+
+    spot: DiscSpot | RectangleSpot | None = Field(
+        default=None, discriminator="shape", description="Which part of the face emits; without one all of it."
+    )
+    start: Time = Field(default=0.0, description="When it begins to emit, s.")
+    stop: Time | None = Field(default=None, description="When it ends, s; without it never.")
+    per_face: int = Field(default=2, ge=1, description="Macroparticles per step from each face of a cell that emits.")
+
+    @model_validator(mode="after")
+    def _on_a_face(self) -> Self:
+        if self.plane is not None:
+            raise complaint(
+                "has no field that decides what it emits", "name a face", path="plane", found=self.plane.centre
+            )
+        if self.stop is not None and self.stop <= self.start:
+            raise complaint("is not after start", "swap them", path="stop", found=self.stop)
+        return self
+
+    def current_density(self, pull: np.ndarray) -> np.ndarray:
+        """Return what the surface supplies in A/m², without its sign, where the field pulls so much, V/m (negative: pushes)."""
+        raise NotImplementedError
+
+    @property
+    def is_limited(self) -> bool:
+        """Whether no more is born than Gauss's law takes until the field at the wall is zero."""
+        raise NotImplementedError
+
+
+class SpaceChargeLimitedSource(WallSource):
+    """A wall that gives what makes the field at it zero, so that space charge limits the current."""
+
+    process: Literal["space-charge-limited"] = "space-charge-limited"
+    supply: CurrentDensity | None = Field(
+        default=None, gt=0, description="The most that it gives, A/m²; without it anything."
+    )
+
+    def current_density(self, pull: np.ndarray) -> np.ndarray:
+        return np.full(len(pull), math.inf if self.supply is None else self.supply)
+
+    @property
+    def is_limited(self) -> bool:
+        return True
+
+
+class SuppliedSource(WallSource):
+    """A wall that gives what its surface supplies."""
+
+    work_function: Energy = Field(gt=0, description="Without a field, J.")
+    limit: Literal["none", "space-charge"] = Field(
+        default="none",
+        description="none: all that is supplied is born, and what space charge turns back is lost at the wall. space-charge: "
+        "no more is born than makes the field at the wall zero.",
+    )
+
+    @property
+    def is_limited(self) -> bool:
+        return self.limit == "space-charge"
+
+
+class ThermionicSource(SuppliedSource):
+    """A hot wall, by Richardson and Dushman's law; particles leave it as the flux of a Maxwellian."""
+
+    process: Literal["thermionic"] = "thermionic"
+    temperature: Temperature = Field(gt=0, description="K.")
+    schottky: bool = Field(default=True, description="Whether a field at the wall that pulls lowers the work function.")
+    momenta: AnyMomenta | None = Field(  # type: ignore[assignment]
+        default=None, description="With which particles are born; by default thermal, of the temperature."
+    )
+
+    @property
+    def emitted(self) -> AnyMomenta:
+        return self.momenta or ThermalMomenta(energy=BOLTZMANN * self.temperature)
+
+    def current_density(self, pull: np.ndarray) -> np.ndarray:
+        return richardson(self.temperature, self.work_function, pull if self.schottky else np.zeros_like(pull))
+
+
+class FieldSource(SuppliedSource):
+    """A cold wall from which a strong field pulls electrons, by Fowler and Nordheim's law."""
+
+    process: Literal["field"] = "field"
+    enhancement: float = Field(default=1.0, gt=0, description="Of the field at tips that the mesh does not see.")
+
+    def current_density(self, pull: np.ndarray) -> np.ndarray:
+        return fowler_nordheim(self.work_function, self.enhancement * pull)
+
+
+def first_ids(sources: Sequence[Source]) -> list[int]:
     """Return the first id of each source: behind those of all bunches, and so far apart that none comes to the next."""
     return [(number + 1) * IDS for number in range(len(sources))]
 
 
 IDS = 2**48  # of a source
-AnySource = GivenSource
+AnySource = Annotated[
+    GivenSource | SpaceChargeLimitedSource | ThermionicSource | FieldSource, Field(discriminator="process")
+]

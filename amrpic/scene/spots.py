@@ -30,6 +30,10 @@ class Spot(Section):
     def _about_centre(self, u: np.ndarray) -> np.ndarray:
         raise NotImplementedError
 
+    def holds(self, places: np.ndarray) -> np.ndarray:
+        """Return which places (2, n) in m lie in the spot."""
+        raise NotImplementedError
+
     @property
     def reach(self) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper corner (2,) of a rectangle that holds the spot, m."""
@@ -50,6 +54,9 @@ class DiscSpot(Spot):
     def _about_centre(self, u: np.ndarray) -> np.ndarray:
         return _polar(self.radius * np.sqrt(u[0]), u[1])
 
+    def holds(self, places: np.ndarray) -> np.ndarray:
+        return np.hypot(*(places - np.array(self.centre)[:, None])) <= self.radius
+
     @property
     def _half(self) -> Pair:
         return (self.radius, self.radius)
@@ -63,6 +70,9 @@ class RectangleSpot(Spot):
 
     def _about_centre(self, u: np.ndarray) -> np.ndarray:
         return np.array(self.half_widths)[:, None] * (2 * u[:2] - 1)
+
+    def holds(self, places: np.ndarray) -> np.ndarray:
+        return (np.abs(places - np.array(self.centre)[:, None]) <= np.array(self.half_widths)[:, None]).all(axis=0)
 
     @property
     def _half(self) -> Pair:

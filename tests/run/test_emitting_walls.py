@@ -1,0 +1,257 @@
+"""Walls that emit: currents of planar diodes against Child, Langmuir, Jory and Trivelpiece; laws of emission; restarts, ranks."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from test_births import ordered
+
+from amrpic.errors import SceneError
+from amrpic.pic.simulation import Simulation
+from amrpic.scene.scene import Scene
+from amrpic.units import BOLTZMANN, ELECTRON_MASS, ELEMENTARY_CHARGE, VACUUM_PERMITTIVITY
+
+GAP = 1e-2  # m
+PERVEANCE = 2.333952e-6  # A/V^(3/2): of Child and Langmuir's law, times the square of the gap over the area
+COLD = 2e-6  # kT over e V, for which Langmuir's current is 1.00372 of Child's
+Source = dict[str, Any]
+
+
+def child(voltage: float) -> float:
+    """Current density of Child and Langmuir's law, A/m²."""
+    return PERVEANCE * voltage**1.5 / GAP**2
+
+
+def diode(voltage: float, cells: int, source: Source, transits: float, across: int = 4, **changes: Any) -> Scene:
+    """A planar diode, periodic across, with a source at its lower wall, for so many times of flight through it."""
+    width, speed = GAP / cells, math.sqrt(2 * ELEMENTARY_CHARGE / ELECTRON_MASS * voltage)
+    dt = width / speed / 1.5
+    data: dict[str, Any] = {
+        "domain": {
+            "lower": [0, 0, 0],
+            "upper": [across * width, across * width, GAP],
+            "cells": [across, across, cells],
+            "boundary": {"x": "periodic", "y": "periodic", "z": "dirichlet"},
+            "potential": {"z": [0, voltage]},
+        },
+        "sources": [{"face": "z_lower", "momenta": warm(COLD, voltage), **source}],
+        "solver": {"tolerance": 1e-6},
+        "motion": {"kind": "leapfrog", "dt": dt, "frame": "lab"},
+        "schedule": {"steps": int(transits * 3 * GAP / speed / dt)},
+        "output": {"write": []},
+    }
+    return Scene.from_dict({**data, **changes})
+
+
+def warm(share: float, voltage: float) -> dict[str, Any]:
+    """Momenta of a temperature kT that is a part of e V."""
+    return {"kind": "thermal", "energy": f"{share * voltage} eV"}
+
+
+def limited(voltage: float, supply: float = 4.0) -> Source:
+    return {"process": "space-charge-limited", "supply": supply * child(voltage)}
+
+
+def hot(voltage: float, share: float, supply: float) -> Source:
+    """A thermionic wall that supplies a multiple of Child and Langmuir's current."""
+    temperature = share * voltage * ELEMENTARY_CHARGE / BOLTZMANN
+    work = BOLTZMANN * temperature * math.log(1.20173e6 * temperature**2 / (supply * child(voltage)))
+    return {
+        "process": "thermionic",
+        "temperature": temperature,
+        "work_function": work,
+        "schottky": False,
+        "per_face": 4,
+        "momenta": None,
+    }
+
+
+def current(scene: Scene, comm: MPI.Comm = MPI.COMM_SELF) -> tuple[float, Simulation]:
+    """Current density at the anode over the second half of a run, A/m², and the run."""
+    run, rows = Simulation(comm, scene), []
+    for state in run:
+        arrived = state.lost.particles.select(np.flatnonzero(state.lost.cause == 5))
+        rows.append((state.time, comm.allreduce(arrived.own_charge)))
+    time, charge = np.array(rows[len(rows) // 2 :]).T
+    area = np.prod(np.subtract(scene.domain.upper, scene.domain.lower)[:2])
+    return float(-np.polyfit(time, charge, 1)[0] / area), run
+
+
+def profile_error(run: Simulation, voltage: float) -> float:
+    """Largest error of φ over V against (z/d)^(4/3)."""
+    z = np.linspace(0.02, 0.98, 49) * GAP
+    middle = np.full(49, run.hierarchy.domain.upper[0] / 2)
+    phi = run.phi.sample(np.column_stack([middle, middle, z]))
+    return float(np.abs(phi / voltage - (z / GAP) ** (4 / 3)).max())
+
+
+# The last: Jory and Trivelpiece, J. Appl. Phys. 40, 3924 (1969), times 1.00372.
+@pytest.mark.parametrize(
+    ("voltage", "cells", "expected", "error"),
+    [
+        (100.0, 16, 1.00372, 0.003),
+        pytest.param(100.0, 32, 1.00372, 0.003, marks=pytest.mark.long),
+        pytest.param(1e5, 32, 0.979909 * 1.00372, 0.003, marks=pytest.mark.long),
+        pytest.param(5e5, 32, 0.913325 * 1.00372, 0.003, marks=pytest.mark.long),
+    ],
+)
+def test_a_diode_has_the_space_charge_limited_current(voltage, cells, expected, error):
+    found, run = current(diode(voltage, cells, limited(voltage), 4.0))
+    assert found / child(voltage) == pytest.approx(expected, rel=error)
+    tally, lost = run.state.tallies.of[0], run.lost.particles.own_charge
+    assert abs(run.particles.own_charge + lost - tally.charge) < 1e-13 * abs(tally.charge)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("levels", "error"), [(0, 3e-3), (1, 1.5e-3), (2, 8e-4)])
+def test_levels_at_the_cathode_make_its_profile_finer(levels, error):
+    width = GAP / 32
+    boxes = [
+        {"level": level, "lower": [0, 0, 0], "upper": [4 * width, 4 * width, 4 * width]}
+        for level in range(1, levels + 1)
+    ]
+    refinement = {"levels": levels, "regrid_every": 0, "blocking_factor": 4}
+    refinement |= {"rule": {"kind": "static", "boxes": boxes}} if levels else {}
+    found, run = current(diode(100.0, 32, limited(100.0), 4.0, refinement=refinement))
+    assert found / child(100.0) == pytest.approx(1.00372, rel=0.003)
+    assert profile_error(run, 100.0) < error
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("share", [2e-4, 1e-3, 5e-3])
+def test_a_warm_start_has_the_current_of_langmuir(share):
+    exact = {2e-4: 1.0365, 1e-3: 1.0808, 5e-3: 1.1789}[share]
+    scene = diode(100.0, 32, {**limited(100.0), "per_face": 4, "momenta": warm(share, 100.0)}, 4.0)
+    assert current(scene)[0] / child(100.0) == pytest.approx(exact, rel=0.005)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("share", "supply", "exact", "error"),
+    [(2e-4, 2.0, 1.0404, 0.01), (2e-4, 5.0, 1.0421, 0.01), (2e-3, 2.0, 1.1360, 0.022), (2e-3, 5.0, 1.1478, 0.022)],
+)
+def test_a_supply_above_the_limit_is_turned_back_as_by_langmuir(share, supply, exact, error):
+    """A virtual cathode, much thinner than a cell, holds back what is too much."""
+    found, run = current(diode(100.0, 32, hot(100.0, share, supply), 5.0))
+    assert found / child(100.0) == pytest.approx(exact, rel=error)
+    assert (run.lost.cause == 4).sum() > (run.lost.cause == 5).sum() * (supply - 1.2)
+
+
+def test_a_given_current_converges_in_cells():
+    """Half of the limit, for which the field at the cathode is 2/3 V/d."""
+    exact = 2 / 3
+    errors = []
+    for cells in (8, 16, 32):
+        width = (4 * GAP / cells) ** 2
+        source = {
+            "process": "given",
+            "current": -0.5 * child(100.0) * width,
+            "per_step": 64,
+            "momenta": {"kind": "cold"},
+        }
+        run = Simulation(MPI.COMM_SELF, diode(100.0, cells, source, 4.0))
+        fields = [-state.solution.layers[4].at_wall.mean() * GAP / 100.0 for state in run]
+        errors.append(abs(np.mean(fields[-4 * cells :]) - exact))
+    assert np.log2(errors[0] / errors[2]) / 2 > 1.5, errors
+
+
+def test_schottky_lowers_the_work_function():
+    """The logarithm of the current goes with the root of the field: slope √(e³ / 4πε₀) / kT."""
+    temperature, work = 1300.0, "1.6 eV"
+    fields, charges = np.array([1e6, 4e6, 9e6]), []
+    for field in fields:
+        source = {"process": "thermionic", "temperature": temperature, "work_function": work, "momenta": None}
+        scene = diode(field * GAP, 8, source, 1.0)
+        run = Simulation(MPI.COMM_SELF, scene)
+        run.advance()
+        tally = run.state.tallies.of[0]
+        charges.append(-tally.charge / run._setup.dt / np.prod(scene.domain.upper[:2]))
+    slope = np.polyfit(np.sqrt(fields), np.log(charges), 1)[0]
+    lowering = math.sqrt(ELEMENTARY_CHARGE**3 / (4 * math.pi * VACUUM_PERMITTIVITY))
+    assert slope == pytest.approx(lowering / (BOLTZMANN * temperature), rel=1e-5)
+    assert np.exp(np.log(charges[0]) - slope * 1e3) == pytest.approx(1.273e6, rel=2e-3)
+
+
+def test_only_what_the_field_pulls_is_emitted():
+    scene = diode(100.0, 8, {**limited(100.0), "face": "z_upper"}, 1.0)
+    run = Simulation(MPI.COMM_SELF, scene)
+    run.advance(5)
+    assert run.state.tallies.of[0].particles == 0
+    positive = Simulation(
+        MPI.COMM_SELF, diode(100.0, 8, {**limited(100.0), "face": "z_upper", "species": "positron"}, 1.0)
+    )
+    positive.advance(5)
+    assert positive.state.tallies.of[0].charge > 0
+
+
+def test_a_spot_bounds_what_emits():
+    width = 8 * GAP / 16
+    spot = {"shape": "disc", "radius": width / 4, "centre": [width / 2, width / 2]}
+    run = Simulation(MPI.COMM_SELF, diode(100.0, 16, {**limited(100.0), "spot": spot, "per_face": 40}, 1.0, across=8))
+    run.advance(2)
+    assert np.hypot(*(run.particles.position[:, :2] - width / 2).T).max() < width / 4 * 1.01
+    area = np.pi * (width / 4) ** 2 / width**2
+    whole = Simulation(MPI.COMM_SELF, diode(100.0, 16, limited(100.0), 1.0, across=8))
+    whole.advance(1)
+    one = Simulation(MPI.COMM_SELF, diode(100.0, 16, {**limited(100.0), "spot": spot, "per_face": 40}, 1.0, across=8))
+    one.advance(1)
+    assert one.state.tallies.of[0].charge == pytest.approx(area * whole.state.tallies.of[0].charge, rel=0.03)
+
+
+@pytest.mark.mpi(ranks=(2, 4))
+def test_emission_is_the_same_on_any_ranks(comm):
+    refinement = {"levels": 1, "blocking_factor": 4, "regrid_every": 5}
+    refinement |= {"rule": {"kind": "charge-density", "relative": 0.1}}
+    scene = diode(100.0, 16, limited(100.0), 2.0, refinement=refinement, solver={"tolerance": 1e-12})
+    together, alone = Simulation(comm, scene), Simulation(MPI.COMM_SELF, scene)
+    together.advance(50), alone.advance(50)
+    one, many = ordered(MPI.COMM_SELF, alone), ordered(comm, together)
+    np.testing.assert_array_equal(many[:, 0], one[:, 0])
+    for column in range(1, 8):
+        scale = np.abs(one[:, column]).max()
+        np.testing.assert_allclose(many[:, column], one[:, column], rtol=0, atol=1e-9 * scale)
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+@pytest.mark.parametrize("source", [limited(100.0), hot(100.0, 1e-3, 3.0)])
+def test_a_restart_goes_on_bit_by_bit(comm, tmp_path, source):
+    folder = comm.bcast(tmp_path)
+    whole = Simulation(comm, diode(100.0, 16, source, 1.0, solver={"tolerance": "discretization"}))
+    whole.advance(20)
+    whole.checkpoint(folder / "half")
+    rest = Simulation.restart(comm, folder / "half")
+    whole.advance(20), rest.advance(20)
+    for name in ("position", "momentum", "weight", "id"):
+        np.testing.assert_array_equal(getattr(rest.particles, name), getattr(whole.particles, name))
+    assert rest.state.tallies == whole.state.tallies
+
+
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        ({"plane": {}, "face": None, "spot": {"shape": "disc", "radius": 1}}, "no field that decides"),
+        ({"face": "x_lower"}, "is periodic"),
+        ({"spot": {"shape": "gaussian", "sigma": [1, 1]}}, "unknown shape"),
+        ({"per_face": 0}, "per_face"),
+        ({"supply": 0}, "supply"),
+        ({"start": 1, "stop": 0}, "is not after start"),
+        ({"process": "thermionic", "supply": None, "work_function": "2 eV"}, "temperature"),
+        ({"process": "field", "supply": None}, "work_function"),
+    ],
+)
+def test_bad_walls_are_refused_in_one_sentence(source, words):
+    given = {key: value for key, value in {**limited(100.0), **source}.items() if value is not None or key in source}
+    given = {key: value for key, value in given.items() if not (key == "supply" and value is None)}
+    with pytest.raises(SceneError) as refused:
+        diode(100.0, 8, given, 1.0)
+    text = str(refused.value)
+    assert words in text and "sources.0" in text and "; " in text and "\n" not in text
+
+
+def test_walls_emit_in_second_order_alone():
+    with pytest.raises(SceneError, match=r"solver\.order"):
+        diode(100.0, 8, limited(100.0), 1.0, solver={"order": 4})

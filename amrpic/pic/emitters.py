@@ -76,9 +76,12 @@ class Emitter(ABC, Generic[Kind]):
         momentum = np.stack([*across, normal], axis=1) @ self._axes
         weight = self.weights(number, span)
         made = Particles(position, momentum, weight, number + self.first, species)
-        return made.select(
-            np.flatnonzero((span.start <= time) & (time < span.stop) & (weight > 0) & self.holds(places))
-        )
+        born = (span.start <= time) & (time < span.stop) & (weight > 0) & self.holds(places)
+        return self.limited(made.select(np.flatnonzero(born)), comm, span)
+
+    def limited(self, made: Particles, comm: MPI.Comm, span: Span) -> Particles:
+        """Return the particles of a step with no more weight than the field at the wall takes. Collective."""
+        return made
 
     def places(self, number: np.ndarray, u: np.ndarray, span: Span) -> np.ndarray:
         """Return places (2, n) of particles on the surface, m."""
@@ -94,6 +97,14 @@ class Emitter(ABC, Generic[Kind]):
     def own(self, ids: np.ndarray) -> np.ndarray:
         """Return which ids are those of this source."""
         return ids // IDS == self.first // IDS
+
+    def pull(self, which: np.ndarray, span: Span) -> np.ndarray:
+        """Return how the field at the wall pulls particles off the faces of some columns, V/m; negative where it pushes."""
+        assert span.layer is not None
+        field = span.layer.at_wall[which]
+        if span.added is not None:
+            field = field + span.added(span.layer.columns.centre[which]) @ self._axes[2]
+        return field * np.sign(self.source.species.charge)
 
     @property
     def _across(self) -> list[int]:
@@ -113,6 +124,17 @@ class OfGivenCharge(Emitter[GivenSource]):
 
     def draws(self, first: int, last: int) -> np.ndarray:
         return draw(self.source.sampling, self._seed, self.first, first, last)
+
+    def limited(self, made: Particles, comm: MPI.Comm, span: Span) -> Particles:
+        if not self.source.is_limited or span.layer is None:
+            return made
+        columns = span.layer.columns
+        which, _ = columns.find(made.position)  # the window is at rest where there is a layer
+        supplied = np.bincount(which, made.weight * abs(self.source.species.charge), len(columns))
+        comm.Allreduce(MPI.IN_PLACE, supplied)
+        most = VACUUM_PERMITTIVITY * np.maximum(self.pull(np.arange(len(columns)), span), 0.0) * columns.area
+        kept = np.divide(most, supplied, out=np.ones_like(most), where=supplied > most)[which]
+        return made.with_weight(made.weight * kept).select(np.flatnonzero(kept > 0))
 
 
 class OfOneCharge(OfGivenCharge):
@@ -189,11 +211,7 @@ class OfWall(Emitter[WallSource]):
 
     def surface_charge(self, which: np.ndarray, span: Span) -> np.ndarray:
         """Return what is born in a step on the faces of some columns, C/m² without sign."""
-        assert span.layer is not None
-        field = span.layer.at_wall[which]
-        if span.added is not None:
-            field = field + span.added(span.layer.columns.centre[which]) @ self._axes[2]
-        pull = field * np.sign(self.source.species.charge)
+        pull = self.pull(which, span)
         begin, end = self._living(span)
         supplied = self.source.current_density(pull) * (end - begin)
         most = VACUUM_PERMITTIVITY * np.maximum(pull, 0.0)

@@ -234,7 +234,7 @@ def _sources(scene: SceneParts) -> None:
     for number, source in enumerate(scene.sources):
         face = source.face_number
         kind = None if face is None else scene.domain.value.boundary[face // 2][face % 2]
-        if isinstance(source, WallSource) and kind != "dirichlet":
+        if (isinstance(source, WallSource) or source.is_limited) and kind != "dirichlet":
             raise complaint(
                 f"is {kind}, where the field at it does not decide on what is emitted",
                 'make that face of domain.boundary dirichlet, or give the charge of the source (process = "given")',

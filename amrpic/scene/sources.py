@@ -24,6 +24,12 @@ from .species import Species
 from .spots import AnySpot, DiscSpot, RectangleSpot
 from .units import Angle, Charge, Current, CurrentDensity, Energy, Length3, Temperature, Time
 
+Limit = Literal["none", "space-charge"]
+LIMIT = (
+    "none: all that is supplied is born, and what space charge turns back is lost at the wall. space-charge: no more is born "
+    "than makes the field at the wall zero."
+)
+
 
 class PlaneSection(Section):
     """A plane in the scene, from which particles leave along its own z."""
@@ -122,6 +128,7 @@ class GivenSource(Source):
         description="How places and momenta are drawn: at random, or quiet by sobol or halton. Times of birth are quiet "
         "always: one in each part of the pulse that has the charge of a macroparticle.",
     )
+    limit: Limit = Field(default="none", description=LIMIT)
 
     @model_validator(mode="after")
     def _amounts(self) -> Self:
@@ -131,8 +138,7 @@ class GivenSource(Source):
             raise complaint(
                 f"is not what a {self.pulse.shape} pulse has", f"give its {key}", path=other, found=getattr(self, other)
             )
-        amount = getattr(self, key)
-        if amount is None:
+        if self.current is None and self.total == 0:
             raise complaint("is missing", f"add the {key} of the source", path=key, found="nothing")
         for name in (key, "particle_charge"):
             value = getattr(self, name)
@@ -165,6 +171,11 @@ class GivenSource(Source):
         """Charge of all that is ever born, C."""
         return self.current * self.pulse.duration if self.current is not None else self.charge or 0.0
 
+    @property
+    def is_limited(self) -> bool:
+        """Whether no more is born than Gauss's law takes until the field at the wall is zero."""
+        return self.limit == "space-charge"
+
     def charge_until(self, time: float) -> float:
         """Return the charge in C that is born until a time in s."""
         if self.current is not None:
@@ -189,6 +200,52 @@ class GivenSource(Source):
             return round(charge / self.unit_charge)
         first, last = max(start, self.pulse.start), min(stop, self.pulse.start + self.pulse.duration)
         return (self.per_step or 0) * math.ceil(max(last - first, 0.0) / dt)
+
+
+class PhotoSource(GivenSource):
+    """A photo-cathode: the charge of a pulse is given, or follows from that of a laser."""
+
+    process: Literal["photo"] = "photo"  # type: ignore[assignment]
+    momenta: AnyMomenta | None = Field(  # type: ignore[assignment]
+        default=None, description="With which particles are born; by default thermal, of the mean transverse energy."
+    )
+    mean_transverse_energy: Energy | None = Field(default=None, gt=0, description="<p_x² + p_y²> / 2m at birth, J.")
+    laser_energy: Energy | None = Field(default=None, gt=0, description="Of the pulse, in place of a charge, J.")
+    photon_energy: Energy | None = Field(default=None, gt=0, description="Of one photon of it, J.")
+    quantum_efficiency: float | None = Field(default=None, gt=0, le=1, description="Particles per photon.")
+
+    @model_validator(mode="after")
+    def _light(self) -> Self:
+        if (self.momenta is None) == (self.mean_transverse_energy is None):
+            raise complaint(
+                "must be given, or else momenta, and one of them alone",
+                "keep one of the two",
+                path="mean_transverse_energy",
+                found="both" if self.momenta else "neither",
+            )
+        light = [key for key in LIGHT if getattr(self, key) is not None]
+        if light and (len(light) < len(LIGHT) or self.charge is not None or self.current is not None):
+            raise complaint(
+                f"goes with all of {', '.join(LIGHT)}, and without charge and current",
+                "give the three, or the charge",
+                path=light[0],
+                found=getattr(self, light[0]),
+            )
+        return self
+
+    @property
+    def emitted(self) -> AnyMomenta:
+        energy = self.mean_transverse_energy
+        return self.momenta or (ColdMomenta() if energy is None else ThermalMomenta(energy=energy))
+
+    @property
+    def total(self) -> float:
+        if self.laser_energy is None or self.photon_energy is None or self.quantum_efficiency is None:
+            return super().total
+        return self.species.charge * self.quantum_efficiency * self.laser_energy / self.photon_energy
+
+
+LIGHT = ("laser_energy", "photon_energy", "quantum_efficiency")
 
 
 class WallSource(Source):
@@ -241,11 +298,7 @@ class SuppliedSource(WallSource):
     """A wall that gives what its surface supplies."""
 
     work_function: Energy = Field(gt=0, description="Without a field, J.")
-    limit: Literal["none", "space-charge"] = Field(
-        default="none",
-        description="none: all that is supplied is born, and what space charge turns back is lost at the wall. space-charge: "
-        "no more is born than makes the field at the wall zero.",
-    )
+    limit: Limit = Field(default="none", description=LIMIT)
 
     @property
     def is_limited(self) -> bool:
@@ -287,5 +340,6 @@ def first_ids(sources: Sequence[Source]) -> list[int]:
 
 IDS = 2**48  # of a source
 AnySource = Annotated[
-    GivenSource | SpaceChargeLimitedSource | ThermionicSource | FieldSource, Field(discriminator="process")
+    GivenSource | PhotoSource | SpaceChargeLimitedSource | ThermionicSource | FieldSource,
+    Field(discriminator="process"),
 ]

@@ -271,6 +271,11 @@ def test_births_in_a_window_are_those_of_the_laboratory():
         ),
         ({"spot": {"shape": "disc", "radius": -1}}, "radius"),
         ({"spot": {"shape": "gaussian", "sigma": [1e-3, 0]}}, "sigma"),
+        ({"process": "photo", "momenta": None}, "mean_transverse_energy"),
+        (
+            {"process": "photo", "momenta": None, "mean_transverse_energy": "1 eV", "laser_energy": 1},
+            "goes with all of",
+        ),
         ({"name": "a b"}, "cannot stand in tables"),
         ({"curent": 1}, "unknown key"),
         ({"process": "magic"}, "process"),

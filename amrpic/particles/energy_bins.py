@@ -245,7 +245,7 @@ def _off_axis(flow: Flow, axis: int) -> float:
 
 
 def _sides(domain: Domain, axis: int) -> set[str]:
-    return {kind for other in range(3) if other != axis for kind in domain.boundary[other]}
+    return {kind for side_axis in range(3) if side_axis != axis for kind in domain.boundary[side_axis]}
 
 
 def _leaves_no_way_round(domain: Domain, axis: int) -> bool:

@@ -41,16 +41,16 @@ def births(state: State, setup: Setup) -> Born | None:
     stop = state.time + state.staggered.flight
     spans = [_span(state, stop, n, setup) for n in range(len(setup.emitters))]
     with setup.clock("beam"):
-        here = _sorted(state, spans, setup)
-        time, tallies = np.empty(len(here)), []
+        newborn = _sorted(state, spans, setup)
+        time, tallies = np.empty(len(newborn)), []
         for emitter, span, tally in zip(setup.emitters, spans, state.tallies.of, strict=True):
-            own = emitter.own(here.id)
-            time[own] = emitter.times(here.id[own] - emitter.first, span)
-            count, charge = setup.comm.allreduce(np.array([own.sum(), (here.weight * here.charge)[own].sum()]))
-            tallies.append(tally.more(emitter.numbers(span).stop, int(count), float(charge)))
+            own = emitter.own(newborn.id)
+            time[own] = emitter.times(newborn.id[own] - emitter.first, span)
+            count, charge = setup.comm.allreduce(np.array([own.sum(), (newborn.weight * newborn.charge)[own].sum()]))
+            tallies.append(tally.after(emitter.numbers(span).stop, int(count), float(charge)))
     with setup.clock("push"):
-        moved = _flown(state, here, stop - time, setup)
-    return Born(moved, here.position, here.momentum, time, Tallies(tuple(tallies)))
+        moved = _flown(state, newborn, stop - time, setup)
+    return Born(moved, newborn.position, newborn.momentum, time, Tallies(tuple(tallies)))
 
 
 def _span(state: State, stop: float, number: int, setup: Setup) -> Span:
@@ -59,23 +59,23 @@ def _span(state: State, stop: float, number: int, setup: Setup) -> Span:
     layer = None if face is None else state.solution.layers.get(face)
     external = setup.external.seen_from(state.window) if setup.scene.elements else None
     added = None if external is None else lambda places: external.fields(places, state.time)[0]
-    return Span(state.time, stop, state.tallies.of[number].drawn, layer, added)
+    return Span(state.time, stop, state.tallies.of[number].used, layer, added)
 
 
 def _sorted(state: State, spans: Sequence[Span], setup: Setup) -> Particles:
     """Return what is born, at the places of birth and on the ranks that serve these. Collective."""
     species = state.particles.species
-    made = [e.newborn(setup.comm, span, species) for e, span in zip(setup.emitters, spans, strict=True)]
-    newborn = concatenate(made).seen_from(state.window)
+    parts = [e.newborn(setup.comm, span, species) for e, span in zip(setup.emitters, spans, strict=True)]
+    newborn = concatenate(parts).seen_from(state.window)
     servers = state.particles.sorted_on(state.hierarchy).servers
-    here, _, outside = migrate_without(newborn, state.hierarchy, NONE, servers)
+    newborn, _, outside = migrate_without(newborn, state.hierarchy, NONE, servers)
     if outside:
         setup.remarks.remark(
             f"{outside} particles of sources would be born outside of the domain in step {state.step + 1}, and are not; "
             "keep sources inside",
             "sources outside",
         )
-    return here
+    return newborn
 
 
 def _flown(state: State, newborn: Particles, left: np.ndarray, setup: Setup) -> Particles:

@@ -75,13 +75,13 @@ class Emitter(ABC, Generic[Kind]):
         position = self._origin + places.T @ self._axes[:2]
         momentum = np.stack([*across, normal], axis=1) @ self._axes
         weight = self.weights(number, span)
-        made = Particles(position, momentum, weight, number + self.first, species)
+        newborn = Particles(position, momentum, weight, number + self.first, species)
         born = (span.start <= time) & (time < span.stop) & (weight > 0) & self.holds(places)
-        return self.limited(made.select(np.flatnonzero(born)), comm, span)
+        return self.limited(newborn.select(np.flatnonzero(born)), comm, span)
 
-    def limited(self, made: Particles, comm: MPI.Comm, span: Span) -> Particles:
+    def limited(self, newborn: Particles, comm: MPI.Comm, span: Span) -> Particles:
         """Return the particles of a step with no more weight than the field at the wall takes. Collective."""
-        return made
+        return newborn
 
     def places(self, number: np.ndarray, u: np.ndarray, span: Span) -> np.ndarray:
         """Return places (2, n) of particles on the surface, m."""
@@ -98,12 +98,12 @@ class Emitter(ABC, Generic[Kind]):
         """Return which ids are those of this source."""
         return ids // IDS == self.first // IDS
 
-    def pull(self, which: np.ndarray, span: Span) -> np.ndarray:
+    def pull(self, column: np.ndarray, span: Span) -> np.ndarray:
         """Return how the field at the wall pulls particles off the faces of some columns, V/m; negative where it pushes."""
         assert span.layer is not None
-        field = span.layer.at_wall[which]
+        field = span.layer.at_wall[column]
         if span.added is not None:
-            field = field + span.added(span.layer.columns.centre[which]) @ self._axes[2]
+            field = field + span.added(span.layer.columns.centre[column]) @ self._axes[2]
         return field * np.sign(self.source.species.charge)
 
     @property
@@ -125,16 +125,16 @@ class OfGivenCharge(Emitter[GivenSource]):
     def draws(self, first: int, last: int) -> np.ndarray:
         return draw(self.source.sampling, self._seed, self.first, first, last)
 
-    def limited(self, made: Particles, comm: MPI.Comm, span: Span) -> Particles:
+    def limited(self, newborn: Particles, comm: MPI.Comm, span: Span) -> Particles:
         if not self.source.is_limited or span.layer is None:
-            return made
+            return newborn
         columns = span.layer.columns
-        which, _ = columns.find(made.position)  # the window is at rest where there is a layer
-        supplied = np.bincount(which, made.weight * abs(self.source.species.charge), len(columns))
+        column, _ = columns.find(newborn.position)  # the window is at rest where there is a layer
+        supplied = np.bincount(column, newborn.weight * abs(self.source.species.charge), len(columns))
         comm.Allreduce(MPI.IN_PLACE, supplied)
         most = VACUUM_PERMITTIVITY * np.maximum(self.pull(np.arange(len(columns)), span), 0.0) * columns.area
-        kept = np.divide(most, supplied, out=np.ones_like(most), where=supplied > most)[which]
-        return made.with_weight(made.weight * kept).select(np.flatnonzero(kept > 0))
+        fraction = np.divide(most, supplied, out=np.ones_like(most), where=supplied > most)[column]
+        return newborn.with_weight(newborn.weight * fraction).select(np.flatnonzero(fraction > 0))
 
 
 class OfOneCharge(OfGivenCharge):
@@ -198,20 +198,20 @@ class OfWall(Emitter[WallSource]):
         return begin + (end - begin) * part / self.source.per_face
 
     def places(self, number: np.ndarray, u: np.ndarray, span: Span) -> np.ndarray:
-        columns, which = self._columns(span), self._column(number, span)
-        return (columns.corner[which][:, self._across] + columns.width[which][:, self._across] * u.T).T
+        columns, column = self._columns(span), self._column(number, span)
+        return (columns.corner[column][:, self._across] + columns.width[column][:, self._across] * u.T).T
 
     def holds(self, places: np.ndarray) -> np.ndarray:
         return super().holds(places) if self.source.spot is None else self.source.spot.holds(places)
 
     def weights(self, number: np.ndarray, span: Span) -> np.ndarray:
-        which, columns = self._column(number, span), self._columns(span)
-        charge = self.surface_charge(which, span) * columns.area[which]
+        column, columns = self._column(number, span), self._columns(span)
+        charge = self.surface_charge(column, span) * columns.area[column]
         return charge / (abs(self.source.species.charge) * self.source.per_face)
 
-    def surface_charge(self, which: np.ndarray, span: Span) -> np.ndarray:
+    def surface_charge(self, column: np.ndarray, span: Span) -> np.ndarray:
         """Return what is born in a step on the faces of some columns, C/m² without sign."""
-        pull = self.pull(which, span)
+        pull = self.pull(column, span)
         begin, end = self._living(span)
         supplied = self.source.current_density(pull) * (end - begin)
         most = VACUUM_PERMITTIVITY * np.maximum(pull, 0.0)

@@ -31,10 +31,10 @@ class EmittingWalls:
         }
 
     def _on(self, hierarchy: Hierarchy, face: int) -> Columns:
-        known = self._columns.get(face)
-        if known is None or known.hierarchy is not hierarchy:
-            self._columns[face] = known = Columns(hierarchy, face)
-        return known
+        columns = self._columns.get(face)
+        if columns is None or columns.hierarchy is not hierarchy:
+            self._columns[face] = columns = Columns(hierarchy, face)
+        return columns
 
     def _field(self, columns: Columns, solution: Solution) -> NormalField:
         """Return the normal field of all. Collective.

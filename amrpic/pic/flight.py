@@ -120,9 +120,9 @@ def migrate(state: State, moved: Particles, born: Born | None, setup: Setup) -> 
     def recorded(of: Encounters, names: Sequence[str]) -> Record:
         late = window.to_laboratory(moved.momentum[of.flight])
         # Those of the flight belong to its middle.
-        which = np.searchsorted(met, of.flight)
-        momentum = late + (2 * of.share - 1)[:, None] * (late - before[which])
-        return _record(of, momentum, moved, begun[which] + of.share * duration[which], names)
+        place = np.searchsorted(met, of.flight)
+        momentum = late + (2 * of.share - 1)[:, None] * (late - before[place])
+        return _record(of, momentum, moved, begun[place] + of.share * duration[place], names)
 
     lost_until_now = state.lost.joined(recorded(lost, causes(scene)))
     return Arrived(particles, lost_until_now, state.screens.joined(recorded(passed, screens)), tallies, deposition)

@@ -50,8 +50,8 @@ def make_bunches(comm: MPI.Comm, scene: Scene) -> list[Particles]:
         parts += made
         runs.append((first_id, made[0].species.kinds[0]))
         first_id += comm.allreduce(sum(map(len, made)))
-    none = [] if scene.sources else [(0, NO_SPECIES)]
-    table = with_sources(runs or none, scene)
+    runs = runs or ([] if scene.sources else [(0, NO_SPECIES)])
+    table = with_sources(runs, scene)
     return [replace(part, species=table) for part in parts]
 
 

@@ -65,8 +65,8 @@ def kicked(state: State, newborn: Particles, during: np.ndarray, setup: Setup) -
     window, most = state.window, np.abs(during).max(initial=0.0) or 1.0
     fields = setup.external.seen_from(window).fields(newborn.position, state.time) if setup.scene.elements else None
     if setup.fields:
-        given = setup.fields.at(newborn, state.time, window)
-        fields = given if fields is None else (fields[0] + given[0], fields[1] + given[1])
+        of_python = setup.fields.at(newborn, state.time, window)
+        fields = of_python if fields is None else (fields[0] + of_python[0], fields[1] + of_python[1])
     return _push(state.solution, newborn, float(most), 0.0, 0.0, setup, of_fields=fields, parts=during / most)
 
 

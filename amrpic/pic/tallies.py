@@ -28,14 +28,14 @@ TABLE = (
 class Tally:
     """What a source has given, on all ranks."""
 
-    drawn: int = 0  # of its particles' numbers that are used up
+    used: int = 0  # of its particles' numbers that are used up
     particles: int = 0  # macroparticles that were born in the domain
     charge: float = 0.0  # C, theirs
     latest: float = 0.0  # C, of those of the latest step
 
-    def more(self, drawn: int, particles: int, charge: float) -> Tally:
+    def after(self, used: int, particles: int, charge: float) -> Tally:
         """Return the tally after a step that gives so much."""
-        return Tally(max(self.drawn, drawn), self.particles + particles, self.charge + charge, charge)
+        return Tally(max(self.used, used), self.particles + particles, self.charge + charge, charge)
 
 
 @dataclass(frozen=True)
@@ -45,9 +45,9 @@ class Tallies:
     of: tuple[Tally, ...] = ()
 
     @classmethod
-    def of_scene(cls, scene: Scene, known: Sequence[Mapping[str, Any]] = ()) -> Self:
-        """Return those before the first birth; what is `known`, by `to_list`, goes on."""
-        return cls((*(Tally(**tally) for tally in known), *(Tally() for _ in scene.sources[len(known) :])))
+    def of_scene(cls, scene: Scene, earlier: Sequence[Mapping[str, Any]] = ()) -> Self:
+        """Return those before the first birth; what is `earlier`, by `to_list`, goes on."""
+        return cls((*(Tally(**tally) for tally in earlier), *(Tally() for _ in scene.sources[len(earlier) :])))
 
     def rows(self, scene: Scene, duration: float) -> Iterator[dict[str, float | str]]:
         """Yield what `SOURCES` has of each source, after a latest step of so many s."""
@@ -60,9 +60,9 @@ class Tallies:
         return [asdict(tally) for tally in self.of]
 
 
-def with_sources(known: Iterable[tuple[int, Species]], scene: Scene) -> SpeciesTable:
+def with_sources(earlier: Iterable[tuple[int, Species]], scene: Scene) -> SpeciesTable:
     """Return the species of runs of ids and of sources, which may have none yet. InputError if a source had others before."""
-    runs = dict(known)
+    runs = dict(earlier)
     for number, (first, source) in enumerate(zip(first_ids(scene.sources), scene.sources, strict=True)):
         if runs.setdefault(first, source.species) != source.species:
             raise InputError(

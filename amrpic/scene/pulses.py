@@ -121,9 +121,9 @@ class TabulatedPulse(Pulse):
     def time_of(self, share: np.ndarray) -> np.ndarray:
         times, values, sums = self._sums
         n = np.clip(np.searchsorted(sums, share, side="right") - 1, 0, len(times) - 2)
-        more, slope = np.maximum(share - sums[n], 0.0), (values[n + 1] - values[n]) / (times[n + 1] - times[n])
-        below = values[n] + np.sqrt(np.maximum(values[n] ** 2 + 2 * slope * more, 0.0))
-        past = np.divide(2 * more, below, out=np.zeros_like(more), where=below > 0)
+        excess, slope = np.maximum(share - sums[n], 0.0), (values[n + 1] - values[n]) / (times[n + 1] - times[n])
+        below = values[n] + np.sqrt(np.maximum(values[n] ** 2 + 2 * slope * excess, 0.0))
+        past = np.divide(2 * excess, below, out=np.zeros_like(excess), where=below > 0)
         return self.start + times[n] + np.minimum(past, times[n + 1] - times[n])
 
 

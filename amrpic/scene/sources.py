@@ -66,8 +66,8 @@ class Source(Obstacle):
     @model_validator(mode="after")
     def _one_surface(self) -> Self:
         if (self.face is None) == (self.plane is None):
-            what = "is missing" if self.face is None else "is given as well as plane"
-            raise complaint(what, "name one face, or give a plane", path="face", found=self.face or "nothing")
+            wrong = "is missing" if self.face is None else "is given as well as plane"
+            raise complaint(wrong, "name one face, or give a plane", path="face", found=self.face or "nothing")
         if self.plane is not None and self.spot is None:
             raise complaint("is missing on a plane, which has no end", "add one", path="spot", found="nothing")
         if self.species.charge == 0:
@@ -98,7 +98,7 @@ class Source(Obstacle):
             return np.array(self.plane.centre), np.array(axes(self.plane.direction, self.plane.roll))
         assert self.face_number is not None
         axis, side = divmod(self.face_number, 2)
-        rows = [np.eye(3)[other] for other in range(3) if other != axis]
+        rows = [np.eye(3)[side_axis] for side_axis in range(3) if side_axis != axis]
         origin = np.where(np.arange(3) == axis, (lower, upper)[side], 0.0)
         return origin, np.array([*rows, (1 - 2 * side) * np.eye(3)[axis]])
 
@@ -133,10 +133,13 @@ class GivenSource(Source):
     @model_validator(mode="after")
     def _amounts(self) -> Self:
         steady = isinstance(self.pulse, SteadyPulse)
-        key, other = ("current", "charge") if steady else ("charge", "current")
-        if getattr(self, other) is not None:
+        key, foreign = ("current", "charge") if steady else ("charge", "current")
+        if getattr(self, foreign) is not None:
             raise complaint(
-                f"is not what a {self.pulse.shape} pulse has", f"give its {key}", path=other, found=getattr(self, other)
+                f"is not what a {self.pulse.shape} pulse has",
+                f"give its {key}",
+                path=foreign,
+                found=getattr(self, foreign),
             )
         if self.current is None and self.total == 0:
             raise complaint("is missing", f"add the {key} of the source", path=key, found="nothing")

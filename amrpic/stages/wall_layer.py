@@ -39,8 +39,8 @@ class Columns:
         self.across = [axis for axis in range(3) if axis != self.axis]
         touching = [self._keys(level, 0) for level in range(hierarchy.levels)]
         covered = [self._parents(level, keys) for level, keys in enumerate(touching[1:])]
-        none = np.zeros(0, dtype=np.int64)
-        self._sorted = [np.setdiff1d(keys, below) for keys, below in zip(touching, [*covered, none], strict=True)]
+        empty = np.zeros(0, dtype=np.int64)
+        self._sorted = [np.setdiff1d(keys, below) for keys, below in zip(touching, [*covered, empty], strict=True)]
         counts = [len(keys) for keys in self._sorted]
         self._first = np.concatenate([[0], np.cumsum(counts)])
         self.level = np.repeat(np.arange(hierarchy.levels), counts)  # (n,) of each column
@@ -88,8 +88,8 @@ class Columns:
             index = np.floor((position[:, self.across] - self.hierarchy.lower[self.across]) / spacing).astype(np.int64)
             key = np.clip(index, 0, cells - 1) @ [cells[1], 1]
             place = np.minimum(np.searchsorted(self._sorted[level], key), len(self._sorted[level]) - 1)
-            found = (column < 0) & (self._sorted[level][place] == key)
-            column[found] = self._first[level] + place[found]
+            holds = (column < 0) & (self._sorted[level][place] == key)
+            column[holds] = self._first[level] + place[holds]
         wall = (self.hierarchy.domain.lower, self.hierarchy.domain.upper)[self.side][self.axis]
         return column, self.inwards * (position[:, self.axis] - wall) / self.width[column, self.axis]
 
@@ -106,8 +106,8 @@ class Columns:
                     continue
                 keys = self._key_table(patch.level, np.array([*patch.lower, *patch.upper]))
                 values = np.take(patch.data, cell - patch.lower[self.axis], axis=self.axis)
-                place, found = self._places(patch.level, keys.ravel())
-                out[place, layer] = values.ravel()[found]
+                place, chosen = self._places(patch.level, keys.ravel())
+                out[place, layer] = values.ravel()[chosen]
         self.hierarchy.comm.Allreduce(MPI.IN_PLACE, out)
         for layer in range(1, READ):
             out[:, layer] = np.where(self._has[:, layer], out[:, layer], out[:, layer - 1])
@@ -123,8 +123,8 @@ class Columns:
 
     def _key_table(self, level: int, box: np.ndarray) -> np.ndarray:
         """Return the keys of a box's cells across, as a table along both axes."""
-        one, other = (np.arange(box[axis], box[axis + 3] + 1, dtype=np.int64) for axis in self.across)
-        return one[:, None] * self._cells(level)[1] + other
+        first, second = (np.arange(box[axis], box[axis + 3] + 1, dtype=np.int64) for axis in self.across)
+        return first[:, None] * self._cells(level)[1] + second
 
     def _keys(self, level: int, layer: int) -> np.ndarray:
         """Return the keys, ascending, of all cells of a level in a place from the wall."""
@@ -134,8 +134,8 @@ class Columns:
 
     def _parents(self, level: int, keys: np.ndarray) -> np.ndarray:
         """Return the keys on a level of the parents of cells of the next one."""
-        one, other = np.divmod(keys, self._cells(level + 1)[1])
-        return np.unique(one // 2 * self._cells(level)[1] + other // 2)
+        first, second = np.divmod(keys, self._cells(level + 1)[1])
+        return np.unique(first // 2 * self._cells(level)[1] + second // 2)
 
     def _places(self, level: int, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the columns of those keys on a level that have one, and which these are."""
@@ -143,8 +143,8 @@ class Columns:
         if len(own) == 0:
             return np.zeros(0, np.int64), np.zeros(len(keys), bool)
         place = np.minimum(np.searchsorted(own, keys), len(own) - 1)
-        found = own[place] == keys
-        return self._first[level] + place[found], found
+        chosen = own[place] == keys
+        return self._first[level] + place[chosen], chosen
 
     def _filled(self, layer: int) -> np.ndarray:
         """Return whether the cell in a place from the wall is of the column's level, (n,)."""

@@ -44,7 +44,7 @@ class SolveReport:
     contraction: float = 0.0  # the latest known: largest change of φ by a second cycle over that by the first
     right_hand_side: float = 0.0  # its norm when the error was estimated
     solves_since: int = 0  # that estimate
-    charges: Mapping[str, float] = field(default_factory=dict)  # on each electrode by name, C
+    charges: Mapping[str, float] = field(default_factory=dict)  # on each electrode by name, C; ρ in its cells is imaged there
     voltages: Mapping[str, float] = field(default_factory=dict)  # of each electrode, V; found of those that float
 
     @property
@@ -217,7 +217,7 @@ class PoissonSolver:
             mesh.right_hand_side,
             mesh.solves,
         )
-        return phi, self._with_electrodes(phi, out, voltages) if self.electrodes else out
+        return phi, self._with_electrodes(phi, rho, out, voltages) if self.electrodes else out
 
     @staticmethod
     def _voltage(electrode: Electrode, time: float, last: SolveReport | None) -> float:
@@ -244,7 +244,7 @@ class PoissonSolver:
                 self.native.set_potentials(unit.tolist())
                 self.native.solve(nothing.native, phi.native, True, _native.MeshError(), 0.0, False)
                 potentials.append(phi)
-                charges.append(self.native.charges(phi.native))
+                charges.append(self.native.charges(phi.native, nothing.native))
             self._unit_potentials, self._capacitance = potentials, np.array(charges).T
         return self._capacitance.copy()
 
@@ -258,9 +258,9 @@ class PoissonSolver:
             raise SolverError(f"there is no electrode {name!r}; there are {', '.join(names)}")
         return self._unit_potentials[names.index(name)].copy()
 
-    def _with_electrodes(self, phi: Field, report: SolveReport, voltages: np.ndarray) -> SolveReport:
+    def _with_electrodes(self, phi: Field, rho: Field, report: SolveReport, voltages: np.ndarray) -> SolveReport:
         """Let electrodes float to their charges; return the report with charges and voltages. Collective."""
-        charges = np.array(self.native.charges(phi.native))
+        charges = np.array(self.native.charges(phi.native, rho.native))
         floating = [n for n, electrode in enumerate(self.electrodes) if electrode.floats]
         if floating:
             walls, faces = self._walls, [self.native.wall_data(level).copy() for level in range(self.hierarchy.levels)]

@@ -27,7 +27,9 @@ CompositeMesh::CompositeMesh(std::shared_ptr<Hierarchy const> hierarchy, Real sh
 
 void CompositeMesh::add_metal(int l) {
   MetalCells& cells = metal_cells_[std::size_t(l)];
-  cells = metal_->own_cells(level(l));
+  std::vector<Box> around;
+  for (int b = 0; b < boxes(l); ++b) around.push_back(box(l, b).grow(metal_reach));
+  cells = metal_->cells(level(l), around);
   for (CutCell const& cut : cells.cut()) {
     std::array<Arm, 6> arms;
     for (std::size_t n = 0; n < 6; ++n) {

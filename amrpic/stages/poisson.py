@@ -154,6 +154,18 @@ class PoissonSolver:
         if metal is not None:
             with together(hierarchy.comm, SolverError):
                 metal.finish()
+            self._require_arms_at_electrodes()
+
+    def _require_arms_at_electrodes(self) -> None:
+        """Refuse electrodes that no cell sees. Collective."""
+        self.native.set_potentials([1.0] * len(self.electrodes))
+        charges = self.native.charges(Field(self.hierarchy).native)  # φ is zero in all cells: each cut arm adds to them
+        for electrode, charge in zip(self.electrodes, charges, strict=True):
+            if charge == 0:
+                raise SolverError(
+                    f"electrode {electrode.name} meets no line between the centres of neighbouring cells, so that the solver "
+                    "does not see it; refine the mesh there, move it into the domain, or leave it out"
+                )
 
     def solve(
         self,

@@ -36,7 +36,7 @@ void CompositeMesh::add_metal(int l) {
       int const axis = int(n) / 2, side = int(n) % 2;
       Box const& domain = level(l).domain();
       bool const wall = !level(l).periodic()[axis] && cut.cell[axis] == (side == 0 ? domain.lower : domain.upper)[axis];
-      arms[n] = arm_of(cut, n, wall);
+      arms[n] = arm_of(cut, n);
       arms[n].is_parabola = wall && hierarchy_->domain().boundary[axis][side] == Boundary::dirichlet;
     }
     cut_rows_[std::size_t(l)].push_back(cut_row(equation(l), arms));

@@ -10,7 +10,7 @@ import amrpic
 from amrpic import shapes
 from amrpic.errors import AmrpicError as Error
 
-REFUSED = ("touch at", "meets a periodic face", "nothing fixes", "no metal")
+REFUSED = ("touch at", "meets a periodic face", "nothing fixes", "meets no line")
 CELLS = (4, 5, 7, 8, 11, 13, 16, 17, 23)
 KINDS = ("dirichlet", "neumann", "periodic")
 

@@ -159,7 +159,8 @@ class PoissonSolver:
     def _require_arms_at_electrodes(self) -> None:
         """Refuse electrodes that no cell sees. Collective."""
         self.native.set_potentials([1.0] * len(self.electrodes))
-        charges = self.native.charges(Field(self.hierarchy).native)  # φ is zero in all cells: each cut arm adds to them
+        nothing = Field(self.hierarchy).native  # φ is zero in all cells: each cut arm adds to charges
+        charges = self.native.charges(nothing, nothing)
         for electrode, charge in zip(self.electrodes, charges, strict=True):
             if charge == 0:
                 raise SolverError(

@@ -158,11 +158,12 @@ class CutRows:
         f = np.zeros(len(self.cells)) if rho is None else -rho[self.fluid] / epsilon_0
         floats = [n for n, e in enumerate(self.electrodes) if e.floats]
         voltages = np.array([0.0 if e.floats else e.voltage_at(time) for e in self.electrodes])
+        imaged = self.charge_in_metal(rho)
         right = f - of_data - of_metal @ voltages
         matrix = of_cells
         if floats:
             cells, metal, data = self._charges()
-            wanted = np.array([self.electrodes[n].charge for n in floats])
+            wanted = np.array([self.electrodes[n].charge for n in floats]) + imaged[floats]
             unit = epsilon_0 * min(self.spacing)
             below = [cells[floats] / unit, metal[floats][:, floats] / unit]
             matrix = sp.bmat([[of_cells, of_metal[:, floats]], below])
@@ -173,7 +174,12 @@ class CutRows:
         phi = factors.solve(scale * right)
         phi += factors.solve(scale * (right - matrix @ phi))
         voltages[floats] = phi[len(self.cells) :]
-        return Solution(self, phi[: len(self.cells)], voltages)
+        return Solution(self, phi[: len(self.cells)], voltages, imaged)
+
+    def charge_in_metal(self, rho: Array | None) -> Array:
+        """Return the charge in the cells of each electrode, C: it is imaged there, and acts on nothing outside."""
+        volume = np.prod(self.spacing)
+        return np.array([0.0 if rho is None else rho[self.solid == n].sum() * volume for n in range(len(self.electrodes))])
 
     def _fluxes(self, axis: int, side: int) -> tuple[sp.csr_matrix, sp.csr_matrix, Array]:
         """Return ε₀ times the flux of E into each cell through a face, C: of cells, of electrodes, and what is known."""
@@ -198,8 +204,8 @@ class CutRows:
 class Solution:
     """The potential of fluid cells and of electrodes, and what follows."""
 
-    def __init__(self, rows: CutRows, phi: Array, voltages: Array) -> None:
-        self.rows, self.fluid, self.voltages = rows, phi, voltages
+    def __init__(self, rows: CutRows, phi: Array, voltages: Array, imaged: Array) -> None:
+        self.rows, self.fluid, self.voltages, self.imaged = rows, phi, voltages, imaged
 
     @property
     def phi(self) -> Array:
@@ -210,9 +216,9 @@ class Solution:
         return out
 
     def charges(self) -> Array:
-        """On the electrodes, C."""
+        """On the electrodes, C, those included that image the charge in their cells."""
         cells, metal, data = self.rows._charges()
-        return cells @ self.fluid + metal @ self.voltages + data
+        return cells @ self.fluid + metal @ self.voltages + data - self.imaged
 
     def efield(self, axis: int) -> Array:
         """A component of E (x, y, z), V/m; zero in metal."""

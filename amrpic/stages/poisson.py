@@ -44,7 +44,7 @@ class SolveReport:
     contraction: float = 0.0  # the latest known: largest change of φ by a second cycle over that by the first
     right_hand_side: float = 0.0  # its norm when the error was estimated
     solves_since: int = 0  # that estimate
-    charges: Mapping[str, float] = field(default_factory=dict)  # on each electrode by name, C
+    charges: Mapping[str, float] = field(default_factory=dict)  # on each electrode by name, C; ρ in its cells is imaged there
     voltages: Mapping[str, float] = field(default_factory=dict)  # of each electrode, V; found of those that float
 
     @property
@@ -154,6 +154,19 @@ class PoissonSolver:
         if metal is not None:
             with together(hierarchy.comm, SolverError):
                 metal.finish()
+            self._require_arms_at_electrodes()
+
+    def _require_arms_at_electrodes(self) -> None:
+        """Refuse electrodes that no cell sees. Collective."""
+        self.native.set_potentials([1.0] * len(self.electrodes))
+        nothing = Field(self.hierarchy).native  # φ is zero in all cells: each cut arm adds to charges
+        charges = self.native.charges(nothing, nothing)
+        for electrode, charge in zip(self.electrodes, charges, strict=True):
+            if charge == 0:
+                raise SolverError(
+                    f"electrode {electrode.name} meets no line between the centres of neighbouring cells, so that the solver "
+                    "does not see it; refine the mesh there, move it into the domain, or leave it out"
+                )
 
     def solve(
         self,
@@ -217,7 +230,7 @@ class PoissonSolver:
             mesh.right_hand_side,
             mesh.solves,
         )
-        return phi, self._with_electrodes(phi, out, voltages) if self.electrodes else out
+        return phi, self._with_electrodes(phi, rho, out, voltages) if self.electrodes else out
 
     @staticmethod
     def _voltage(electrode: Electrode, time: float, last: SolveReport | None) -> float:
@@ -244,7 +257,7 @@ class PoissonSolver:
                 self.native.set_potentials(unit.tolist())
                 self.native.solve(nothing.native, phi.native, True, _native.MeshError(), 0.0, False)
                 potentials.append(phi)
-                charges.append(self.native.charges(phi.native))
+                charges.append(self.native.charges(phi.native, nothing.native))
             self._unit_potentials, self._capacitance = potentials, np.array(charges).T
         return self._capacitance.copy()
 
@@ -258,9 +271,9 @@ class PoissonSolver:
             raise SolverError(f"there is no electrode {name!r}; there are {', '.join(names)}")
         return self._unit_potentials[names.index(name)].copy()
 
-    def _with_electrodes(self, phi: Field, report: SolveReport, voltages: np.ndarray) -> SolveReport:
+    def _with_electrodes(self, phi: Field, rho: Field, report: SolveReport, voltages: np.ndarray) -> SolveReport:
         """Let electrodes float to their charges; return the report with charges and voltages. Collective."""
-        charges = np.array(self.native.charges(phi.native))
+        charges = np.array(self.native.charges(phi.native, rho.native))
         floating = [n for n, electrode in enumerate(self.electrodes) if electrode.floats]
         if floating:
             walls, faces = self._walls, [self.native.wall_data(level).copy() for level in range(self.hierarchy.levels)]

@@ -159,7 +159,7 @@ void bind_solver(nb::module_& m) {
           },
           "hierarchy"_a, "options"_a, "reusable"_a, "metal"_a.none() = nullptr)
       .def("set_potentials", &PoissonSolver::set_potentials, "potentials"_a)
-      .def("charges", &PoissonSolver::charges, "phi"_a, nb::call_guard<nb::gil_scoped_release>())
+      .def("charges", &PoissonSolver::charges, "phi"_a, "rho"_a, nb::call_guard<nb::gil_scoped_release>())
       .def("solve", &PoissonSolver::solve, "rho"_a, "phi"_a, "from_zero"_a, "known"_a, "deposited"_a,
            "images"_a = false, nb::call_guard<nb::gil_scoped_release>())
       .def("electric_field", &PoissonSolver::electric_field, "potential"_a, "covered"_a,

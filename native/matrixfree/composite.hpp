@@ -85,6 +85,20 @@ class CompositeLaplacian {
     }
     average_down(phi);
   }
+  /// Call f(electrode, charge in C) for what a density holds in the uncovered cells of metal on this rank. Local.
+  template <class F>
+  void for_each_charge_within(Field const& rho, F&& f) {
+    mesh_.for_each_box([&](int l, int b) {
+      Box const& own = mesh_.box(l, b);
+      for_each_row(own, [&](Index3 const& first) {
+        mesh_.metal(l).for_each_solid(first, own.extent(0), [&](SolidCell const& solid) {
+          if (!mesh_.is_covered(l, b, solid.cell))
+            f(solid.electrode,
+              mesh_.volume(l) * rho.level(l)[std::size_t(mesh_.offset(l, b) + own.offset(solid.cell))]);
+        });
+      });
+    });
+  }
   /// See CompositeResidual. Collective.
   void for_each_charge(Field const& phi, std::vector<Walls> const& walls, std::vector<Real> const& potentials,
                        CompositeResidual::OfCharge const& f) {

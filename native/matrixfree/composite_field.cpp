@@ -152,6 +152,100 @@ ElectricField CompositeField::electric_field(std::shared_ptr<Field const> potent
   return out;
 }
 
+namespace {
+
+enum class Kind : char { absent, fluid, solid };
+
+/// Which cells of a region a level has, and which of these lie in metal.
+ArrayOnBox<Kind> kinds(Level const& level, MetalCells const& metal, Box const& region) {
+  ArrayOnBox<Kind> out(region, Kind::absent);
+  level.for_each_overlap(region, [&](int, Box const& part, Index3 const&) { out.fill(part, Kind::fluid); });
+  for_each_cell(region, [&](Index3 const& cell) {
+    metal.for_each_solid(level.wrapped(cell), 1, [&](SolidCell const&) { out(cell) = Kind::solid; });
+  });
+  return out;
+}
+
+/// How much the normal of the surface beside a cut cell lies along each axis: the squares of its components, from the
+/// arms that a plane would cut so.
+Real3 along_normal(CutCell const& cut) {
+  Real3 out{0, 0, 0};
+  for (std::size_t side = 0; side < 6; ++side)
+    if (cut.is_cut(side)) out[int(side) / 2] = std::max(out[int(side) / 2], 1 / (cut.arm[side] * cut.arm[side]));
+  return out;
+}
+
+}  // namespace
+
+/// Give the cells in metal beside others what these make of a field that goes on linearly, each as much as the normal
+/// lies along the axis between them; and those beside these likewise.
+void CompositeField::continue_into_metal(int l, std::array<std::shared_ptr<Field>, 3> const& e) {
+  Level const& level = mesh_.level(l);
+  MetalCells const& metal = mesh_.metal(l);
+  around_.resize(std::size_t(mesh_.levels()));
+  auto& regions = around_[std::size_t(l)];
+  auto const near = [](Box const& box) { return box.grow(CompositeMesh::metal_reach); };
+  if (!regions)
+    regions = std::make_unique<BoxRegions>(mesh_.comm(), level, level, near, [&](int b) { return near(level.box(b)); });
+  std::array<std::vector<Real>, 3> halo;
+  for (std::size_t d = 0; d < 3; ++d) halo[d] = regions->halo(1, e[d]->level(l).data());
+  std::array<std::vector<Real>, 3> old;
+  for (std::size_t d = 0; d < 3; ++d) old[d].assign(e[d]->level(l).begin(), e[d]->level(l).end());
+  for (int b = 0; b < mesh_.boxes(l); ++b) {
+    Box const &own = mesh_.box(l, b), region = regions->region(std::size_t(b));
+    bool has_solid = false;
+    for_each_row(own, [&](Index3 const& first) {
+      metal.for_each_solid(first, own.extent(0), [&](SolidCell const&) { has_solid = true; });
+    });
+    if (!has_solid) continue;
+    ArrayOnBox<Kind> const kind = kinds(level, metal, region);
+    std::array<ArrayOnBox<Real>, 3> const field{regions->values(std::size_t(b), old[0].data(), halo[0]),
+                                                regions->values(std::size_t(b), old[1].data(), halo[1]),
+                                                regions->values(std::size_t(b), old[2].data(), halo[2])};
+    Box const inner = own.grow(1);
+    ArrayOnBox<Real> weight(inner, 0.0);
+    std::array<ArrayOnBox<Real>, 3> continued{ArrayOnBox<Real>(inner, 0.0), ArrayOnBox<Real>(inner, 0.0),
+                                              ArrayOnBox<Real>(inner, 0.0)};
+    auto const for_each_side = [](Index3 const& cell, auto&& f) {
+      for (int side = 0; side < 6; ++side) {
+        Index3 beside = cell, behind = cell;
+        beside[side / 2] += side % 2 == 0 ? -1 : 1, behind[side / 2] += side % 2 == 0 ? -2 : 2;
+        f(side / 2, beside, behind);
+      }
+    };
+    for_each_cell(inner, [&](Index3 const& cell) {
+      if (kind(cell) != Kind::solid) return;
+      for_each_side(cell, [&](int axis, Index3 const& beside, Index3 const& behind) {
+        if (kind(beside) != Kind::fluid) return;
+        Real share = 0;
+        metal.for_each_cut(level.wrapped(beside), 1, [&](CutCell const& cut) { share = along_normal(cut)[axis]; });
+        weight(cell) += share;
+        for (std::size_t d = 0; d < 3; ++d) {
+          Real const next = field[d](beside);
+          continued[d](cell) += share * (kind(behind) == Kind::fluid ? 2 * next - field[d](behind) : next);
+        }
+      });
+      for (std::size_t d = 0; d < 3 && weight(cell) > 0; ++d) continued[d](cell) /= weight(cell);
+    });
+    for_each_cell(own, [&](Index3 const& cell) {
+      if (kind(cell) != Kind::solid) return;
+      std::size_t const place = std::size_t(mesh_.offset(l, b) + own.offset(cell));
+      Real3 sum{0, 0, 0};
+      int count = 0;
+      for_each_side(cell, [&](int, Index3 const& beside, Index3 const& behind) {
+        if (kind(beside) != Kind::solid || !(weight(beside) > 0)) return;
+        for (std::size_t d = 0; d < 3; ++d) {
+          Real const next = continued[d](beside);
+          sum[int(d)] += kind(behind) == Kind::fluid ? 2 * next - field[d](behind) : next;
+        }
+        ++count;
+      });
+      for (std::size_t d = 0; d < 3; ++d)
+        e[d]->level(l)[place] = weight(cell) > 0 ? continued[d](cell) : count > 0 ? sum[int(d)] / count : 0;
+    });
+  }
+}
+
 ElectricField CompositeField::beside_metal(Field const& phi, std::vector<Walls> const& walls,
                                            std::vector<Real> const& potentials, CoveredField covered,
                                            CompositeAverage& average) {
@@ -177,6 +271,7 @@ ElectricField CompositeField::beside_metal(Field const& phi, std::vector<Walls> 
           });
     }
   });
+  for (int l = 0; l < mesh_.levels(); ++l) continue_into_metal(l, e);
   std::array<std::shared_ptr<Field const>, 3> out;
   for (std::size_t d = 0; d < 3; ++d) {
     if (covered == CoveredField::mean) average.average_down(*e[d]);

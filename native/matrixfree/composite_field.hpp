@@ -2,6 +2,7 @@
 
 #include "matrixfree/composite_average.hpp"
 #include "matrixfree/composite_ghosts.hpp"
+#include "mesh/box_regions.hpp"
 #include "mesh/electric_field.hpp"
 
 namespace amrpic {
@@ -15,7 +16,8 @@ class CompositeField {
   ElectricField electric_field(std::shared_ptr<Field const> potential, std::vector<Walls> const& walls,
                                CoveredField covered);
   /// The same beside metal: components in all cells. Those of a cut cell are slopes of the parabolas through the
-  /// surfaces at its arms; in metal there is none. Collective.
+  /// surfaces at its arms; the first cells in metal go on as those before it do, for clouds that reach into them, and
+  /// deeper there is none. Collective.
   ElectricField beside_metal(Field const& phi, std::vector<Walls> const& walls, std::vector<Real> const& potentials,
                              CoveredField covered, CompositeAverage& average);
 
@@ -24,6 +26,7 @@ class CompositeField {
  private:
   enum class Where { everywhere, at_faces };
 
+  void continue_into_metal(int l, std::array<std::shared_ptr<Field>, 3> const& e);
   void field_plane(int l, int b, int k, Where where, Field const& phi, std::array<Real*, 3> const& e);
   void average_field(int l, int b, int k, Real* means);
   void send_means(int l, Real const* means);
@@ -33,6 +36,7 @@ class CompositeField {
   CompositeGhosts& ghosts_;
   std::vector<Real> planes_;  ///< of three components, of a pair of planes of cells
   std::vector<Real> rows_;    ///< of means of these
+  std::vector<std::unique_ptr<BoxRegions>> around_;  ///< of each level, beside metal; none until first used
 };
 
 }  // namespace amrpic

@@ -27,14 +27,16 @@ CompositeMesh::CompositeMesh(std::shared_ptr<Hierarchy const> hierarchy, Real sh
 
 void CompositeMesh::add_metal(int l) {
   MetalCells& cells = metal_cells_[std::size_t(l)];
-  cells = metal_->own_cells(level(l));
+  std::vector<Box> around;
+  for (int b = 0; b < boxes(l); ++b) around.push_back(box(l, b).grow(metal_reach));
+  cells = metal_->cells(level(l), around);
   for (CutCell const& cut : cells.cut()) {
     std::array<Arm, 6> arms;
     for (std::size_t n = 0; n < 6; ++n) {
       int const axis = int(n) / 2, side = int(n) % 2;
       Box const& domain = level(l).domain();
       bool const wall = !level(l).periodic()[axis] && cut.cell[axis] == (side == 0 ? domain.lower : domain.upper)[axis];
-      arms[n] = arm_of(cut, n, wall);
+      arms[n] = arm_of(cut, n);
       arms[n].is_parabola = wall && hierarchy_->domain().boundary[axis][side] == Boundary::dirichlet;
     }
     cut_rows_[std::size_t(l)].push_back(cut_row(equation(l), arms));

@@ -53,7 +53,9 @@ class CompositeMesh {
   LocalIndex offset(int l, int b) const { return level(l).local_offset(level(l).first_local_box() + b); }
 
   Metal const* metal() const { return metal_; }  ///< null if there is none anywhere
-  MetalCells const& metal(int l) const { return metal_cells_[std::size_t(l)]; }  ///< of this rank
+  /// In the boxes of this rank, and so many cells around them.
+  static constexpr int metal_reach = 3;
+  MetalCells const& metal(int l) const { return metal_cells_[std::size_t(l)]; }
   /// Call f(cut cell, its equation, place in the plane) for the cut cells in plane k of a box, and solid(place,
   /// electrode) for those in metal.
   template <class F, class Solid>

@@ -140,7 +140,7 @@ DenseRows::DenseRows(Index3 const& cells, Equation const& equation, WallGhosts c
     for (std::size_t side = 0; side < 6; ++side) {
       int const d = int(side) / 2, s = int(side) % 2, n = cells[d], next = cut.cell[d] + (s == 0 ? -1 : 1);
       bool const wall = !periodic[d] && (next < 0 || next >= n);
-      arms[side] = arm_of(cut, side, wall);
+      arms[side] = arm_of(cut, side);
       factor[side] = periodic[d] ? seam_factor(cut.cell[d], s, n, seam_width[d]) : 1;
       place[side] = along(cut.cell, d, (next + n) % n);
       if (!wall) {

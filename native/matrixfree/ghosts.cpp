@@ -231,7 +231,7 @@ void Stencil::add_metal(Level const& level, CellBlock const& block, BoxFaces con
       int const axis = int(n) / 2, side = int(n) % 2;
       bool const ends = at[axis] == (side == 0 ? 0 : block.box.extent(axis) - 1);
       bool const wall = ends && faces.sides[n].is_wall;
-      out[n] = arm_of(cut, n, wall);
+      out[n] = arm_of(cut, n);
       if (!ends) continue;
       auto const [u, v] = tangential_axes(axis);
       out[n].first = ghosts[axis][side][std::size_t(at[u] + block.box.extent(u) * at[v])].first;

@@ -4,6 +4,19 @@
 
 namespace amrpic {
 
+namespace {
+
+void hide_metal_behind_walls(Level const& level, std::vector<CutCell>& cells) {
+  for (CutCell& cut : cells)
+    for (std::size_t n = 0; n < 6; ++n) {
+      int const axis = int(n) / 2;
+      bool const ends = cut.cell[axis] == (n % 2 == 0 ? level.domain().lower : level.domain().upper)[axis];
+      if (ends && !level.periodic()[axis] && cut.arm[n] >= wall_arm) cut.electrode[n] = -1;
+    }
+}
+
+}  // namespace
+
 MetalCells Metal::cells(Level const& level, std::vector<Box> const& boxes) const {
   Box region;
   Box const& domain = level.domain();
@@ -15,7 +28,11 @@ MetalCells Metal::cells(Level const& level, std::vector<Box> const& boxes) const
     region = region.empty() ? box : region.hull(box);
   }
   region = region.intersect(domain);
-  return region.empty() ? MetalCells{} : ask_(region, level.spacing());
+  if (region.empty()) return {};
+  MetalCells cells = ask_(region, level.spacing());
+  std::vector<CutCell> cut = cells.cut();
+  hide_metal_behind_walls(level, cut);
+  return {std::move(cut), cells.solid()};
 }
 
 MetalCells Metal::own_cells(Level const& level) const {

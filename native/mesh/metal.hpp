@@ -21,10 +21,9 @@ struct CutCell {
   bool is_cut(std::size_t side) const { return electrode[side] >= 0; }
 };
 
-/// Its arm towards a side; `at_wall`: a wall of the domain ends it half-way, if no metal comes before.
-inline Arm arm_of(CutCell const& cut, std::size_t side, bool at_wall) {
-  if (!cut.is_cut(side) || (at_wall && cut.arm[side] >= wall_arm)) return {};
-  return {cut.arm[side], true, 0, false};
+/// Its arm towards a side.
+inline Arm arm_of(CutCell const& cut, std::size_t side) {
+  return cut.is_cut(side) ? Arm{cut.arm[side], true, 0, false} : Arm{};
 }
 
 /// A cell whose centre lies in metal or on its surface.
@@ -77,7 +76,8 @@ class Metal {
   Metal(int electrodes, Ask ask) : electrodes_(electrodes), ask_(std::move(ask)) {}
 
   int electrodes() const { return electrodes_; }
-  /// The cells in boxes on a level, which may be images behind periodic faces. Local.
+  /// The cells in boxes on a level, which may be images behind periodic faces. Walls end arms half-way, and hide metal
+  /// behind them. Local.
   MetalCells cells(Level const& level, std::vector<Box> const& boxes) const;
   /// Those of this rank.
   MetalCells own_cells(Level const& level) const;

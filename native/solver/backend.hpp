@@ -70,6 +70,12 @@ class Backend {
     return composite_.electric_field(std::move(potential), problem_.walls, covered, problem_.potentials);
   }
 
+  /// Call f(electrode, charge in C) for what a density holds in the uncovered cells of metal on this rank. Local.
+  template <class F>
+  void for_each_charge_within(Field const& rho, F&& f) {
+    composite_.for_each_charge_within(rho, f);
+  }
+
   /// The period of the step lengths, in cycles. Only a whole period reduces all error components equally.
   std::size_t steps_in_turn() const { return std::min<std::size_t>(steps_.size(), even_steps); }
 

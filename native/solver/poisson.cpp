@@ -104,9 +104,10 @@ void PoissonSolver::continue_walls(freespace::PerFace const& potentials) {
   }
 }
 
-std::vector<Real> PoissonSolver::charges(Field const& phi) {
+std::vector<Real> PoissonSolver::charges(Field const& phi, Field const& rho) {
   std::vector<Real> out(potentials_.size());
-  backend_->for_each_charge(phi, [&](int, std::size_t, int electrode, Real charge) { out[std::size_t(electrode)] += charge; });
+  backend_->for_each_charge(phi, [&](int, std::size_t, int on, Real charge) { out[std::size_t(on)] += charge; });
+  backend_->for_each_charge_within(rho, [&](int on, Real charge) { out[std::size_t(on)] -= charge; });
   hierarchy_->comm().sum_each(out);
   return out;
 }

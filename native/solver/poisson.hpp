@@ -54,8 +54,9 @@ class PoissonSolver {
   Walls& walls(int level) { return walls_[level]; }
   /// The potentials of electrodes, V, zero before; a solve goes by them.
   void set_potentials(std::vector<Real> const& potentials) { potentials_ = potentials; }
-  /// The charge on each electrode, C, in the potential that a solve left. Collective.
-  std::vector<Real> charges(Field const& phi);
+  /// The charge on each electrode, C, in the potential that a solve for rho left. What rho holds in its cells, the part
+  /// of clouds that reach into metal, counts as imaged on it. Collective.
+  std::vector<Real> charges(Field const& phi, Field const& rho);
   /// Let open faces see the data that walls beside them hold now. Beyond its face a Dirichlet wall is at one of these
   /// potentials (V), wherever it goes on, and a Neumann wall has no slope. Local.
   void continue_walls(freespace::PerFace const& potentials);

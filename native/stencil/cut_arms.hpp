@@ -74,7 +74,7 @@ inline CutRow cut_row(Equation const& equation, std::array<Arm, 6> const& arms) 
     std::array<Arm, 2> side{arms[2 * axis], arms[2 * axis + 1]};
     of_metal += equation.weight[axis] * ArmPair{side[0].length, side[1].length}.second_difference()[2];
     for (std::size_t s = 0; s < 2; ++s)  // its parabola would go through the surface
-      if (side[s].is_parabola && side[1 - s].is_cut) side[s] = {wall_arm, true, 0, false};
+      if (side[s].is_parabola && !side[s].is_cut && side[1 - s].is_cut) side[s] = {wall_arm, true, 0, false};
     auto const factor = ArmPair{side[0].length, side[1].length}.second_difference();
     Real const weight = equation.weight[axis];
     out.diagonal += weight * factor[2];

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -70,6 +70,43 @@ class SpaceCharge:
     def from_dict(cls, of: Mapping[str, Any], **_: Any) -> SpaceCharge:
         """Return the element of `to_dict`."""
         return cls(**{name: value for name, value in of.items() if name != "__class__"})
+
+
+def install_space_charge(line: Any, count: int, **settings: Any) -> list[SpaceCharge]:
+    """Put so many elements into a line and return them: in the middles of equal parts of its length, and for the path of these.
+
+    They share one engine. `settings`: those of `amrpic.SpaceCharge`, and `longitudinal`. Thick elements are cut where they stand.
+    """
+    path = line.get_length() / count
+    made = _sharing([path] * count, settings)
+    names = [f"space_charge_{n}" for n in range(count)]
+    line.discard_tracker()
+    for name, element in zip(names, made, strict=True):
+        line.env.elements[name] = element
+    line.insert([line.env.place(name, at=(n + 0.5) * path) for n, name in enumerate(names)])
+    return made
+
+
+def replace_space_charge(line: Any, **settings: Any) -> list[SpaceCharge]:
+    """Put elements into the places of those that `xfields.install_spacecharge_frozen` put into a line, and return them.
+
+    They have the names and lengths of these, and share one engine; `settings` as above.
+    """
+    names = [name for name in line.element_names if type(line[name]).__name__.startswith("SpaceCharge")]
+    if not names:
+        raise InputError("the line has no elements of space charge; call xfields.install_spacecharge_frozen first")
+    made = _sharing([float(line[name].length) for name in names], settings)
+    line.discard_tracker()
+    for name, element in zip(names, made, strict=True):
+        line.env.remove(name)
+        line.env.elements[name] = element
+    return made
+
+
+def _sharing(lengths: Sequence[float], settings: dict[str, Any]) -> list[SpaceCharge]:
+    longitudinal = settings.pop("longitudinal", True)
+    charges = Engine(**settings)
+    return [SpaceCharge(length, longitudinal, charges) for length in lengths]
 
 
 def _reference(values: Any) -> float:

@@ -38,6 +38,7 @@ from .scene.bunch_shapes import (  # noqa: E402
     WaterbagBunch,
 )
 from .scene.bunches import LatticeBunch  # noqa: E402
+from .scene.electrodes import Electrode  # noqa: E402
 from .scene.elements import (  # noqa: E402
     CavityElement,
     ConstantFocusingElement,
@@ -82,6 +83,7 @@ __all__ = [
     "ConstantFocusingElement",
     "DipoleElement",
     "Domain",
+    "Electrode",
     "EllipticAperture",
     "Field",
     "FieldStrengthRule",

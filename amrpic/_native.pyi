@@ -481,8 +481,15 @@ class SolveReport:
 class Reusable:
     def __init__(self) -> None: ...
 
+class Metal:
+    def __init__(self, electrodes: int, ask: Callable) -> None: ...
+
 class PoissonSolver:
-    def __init__(self, hierarchy: Hierarchy, options: SolverOptions, reusable: Reusable) -> None: ...
+    def __init__(
+        self, hierarchy: Hierarchy, options: SolverOptions, reusable: Reusable, metal: Metal | None = None
+    ) -> None: ...
+    def set_potentials(self, potentials: Sequence[float]) -> None: ...
+    def charges(self, phi: Field) -> list[float]: ...
     def solve(
         self, rho: Field, phi: Field, from_zero: bool, known: MeshError, deposited: float, images: bool = False
     ) -> SolveReport: ...
@@ -684,6 +691,15 @@ class OpenWallPlans:
     def counts(self, rank: int, charged: Sequence[Sequence[Sequence[float]]] = []) -> dict:
         """
         Counts of one solve on a rank, by the plan that a solve follows: patches evaluated, their interactions `far` and `near`, nodes and leaves received; messages and bytes sent, of each kind and of all; messages received; bytes of each collective. Where charge is, blocks are taken to be full: in the regions `charged`, (lower, upper) in cells of the base, or everywhere. Local.
+        """
+
+class Triangles:
+    """A closed surface of triangles, searched by a hierarchy of boxes."""
+
+    def __init__(self, corners: NDArray[numpy.float64], weight: NDArray[numpy.int32]) -> None: ...
+    def crossings(self, start: NDArray[numpy.float64], direction: NDArray[numpy.float64]) -> tuple:
+        """
+        Line, parameter, change of depth and triangle of each crossing, line by line, and the lines that pass edges within rounding; arguments are rows of x, y, z.
         """
 
 def gmls_exponents(dimension: int, order: int) -> NDArray[numpy.int32]:
@@ -909,6 +925,11 @@ def recycled(bytes: int) -> NDArray[numpy.uint8]:
 def idle_bytes() -> int:
     """Memory that waits for `recycled` to be called again."""
 
+class ReservedMemory:
+    """So many more bytes wait for `recycled` as long as this lives."""
+
+    def __init__(self, bytes: int) -> None: ...
+
 class ParticleMesh:
     def __init__(self, hierarchy: Hierarchy) -> None: ...
     @property
@@ -945,7 +966,7 @@ class Migration:
         mesh: ParticleMesh,
         servers: NDArray[numpy.int64],
         position: NDArray[numpy.float64],
-        momentum: NDArray[numpy.float64],
+        momentum: NDArray[numpy.float64] | None,
         weight: NDArray[numpy.float64],
         id: NDArray[numpy.int64],
         gone: NDArray[numpy.int64],
@@ -962,14 +983,14 @@ class Migration:
     def start(
         self,
         position: NDArray[numpy.float64],
-        momentum: NDArray[numpy.float64],
+        momentum: NDArray[numpy.float64] | None,
         weight: NDArray[numpy.float64],
         id: NDArray[numpy.int64],
     ) -> bool: ...
     def receive(
         self,
         position: NDArray[numpy.float64],
-        momentum: NDArray[numpy.float64],
+        momentum: NDArray[numpy.float64] | None,
         weight: NDArray[numpy.float64],
         id: NDArray[numpy.int64],
     ) -> None: ...
@@ -1078,6 +1099,39 @@ def gather(
     starts: NDArray[numpy.int64],
     out: NDArray[numpy.float64],
 ) -> None: ...
+def take_column(
+    column: NDArray[numpy.float64],
+    places: NDArray[numpy.int64] | None,
+    shift: float,
+    scale: float,
+    out: NDArray[numpy.float64] | None,
+) -> tuple:
+    """
+    Values at places, or all, less `shift` times `scale` into `out`; Σ v, Σ |v|, the least and the greatest v.
+    """
+
+def put_into_places(
+    values: NDArray[numpy.float64], places: NDArray[numpy.int64], factors: Sequence[float], out: NDArray[numpy.float64]
+) -> None:
+    """Each vector times three factors to places[n]."""
+
+def gather_into_places(
+    mesh: ParticleMesh,
+    remote: RemoteBricks,
+    shape: Shape,
+    matched: bool,
+    kokkos: bool,
+    field: ElectricField,
+    position: NDArray[numpy.float64],
+    momentum: NDArray[numpy.float64],
+    weight: NDArray[numpy.float64],
+    id: NDArray[numpy.int64],
+    starts: NDArray[numpy.int64],
+    places: NDArray[numpy.int64],
+    factors: Sequence[float],
+    out: NDArray[numpy.float64],
+) -> None:
+    """What `gather` finds, times three factors, to places[n]."""
 
 class Pusher(enum.Enum):
     boris = 0

@@ -27,6 +27,15 @@ def empty_columns(count: int) -> np.ndarray:
     return memory[first : first + 3 * capacity].reshape(3, capacity).T[:count]
 
 
+def zero_columns(count: int) -> np.ndarray:
+    """(count, 3) zeros that cannot be written to: memory that all share and nobody touches."""
+    global _zeros
+    if _zeros.shape[1] < count:
+        _zeros = np.zeros((3, count))
+        _zeros.flags.writeable = False
+    return _zeros.T[:count]
+
+
 def columns(values: np.ndarray, what: str) -> np.ndarray:
     """The same values (n, 3) with contiguous columns, as kernels read them: themselves, or a copy.
 
@@ -51,3 +60,4 @@ def recycled(count: int, dtype: type) -> np.ndarray:
 
 
 _columns_made = itertools.count(0, 3)
+_zeros = np.zeros((3, 0))

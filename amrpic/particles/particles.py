@@ -16,7 +16,7 @@ from ..mesh.hierarchy import Hierarchy
 from ..mesh.window import AT_REST, Window
 from ..parallel import global_sum
 from ..units import SPEED_OF_LIGHT
-from .arrays import columns, empty_columns, recycled
+from .arrays import columns, empty_columns, recycled, zero_columns
 from .species import SpeciesTable
 
 
@@ -67,11 +67,11 @@ class Particles:
                 raise ParticleError(f"particles have {count} positions but {len(getattr(self, name))} values of {name}")
 
     @staticmethod
-    def allocate(count: int, species: SpeciesTable, weight: float | None = None) -> Particles:
-        """Particles whose values are yet to be set, except the weight if all have the same."""
+    def allocate(count: int, species: SpeciesTable, weight: float | None = None, at_rest: bool = False) -> Particles:
+        """Particles whose values are yet to be set, except the weight if all have the same, and momenta of those at rest."""
         return Particles(
             empty_columns(count),
-            empty_columns(count),
+            zero_columns(count) if at_rest else empty_columns(count),
             recycled(count, np.float64) if weight is None else np.broadcast_to(weight, count),
             recycled(count, np.int64),
             species,

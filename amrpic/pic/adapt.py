@@ -8,6 +8,7 @@ from mpi4py import MPI
 from ..mesh.hierarchy import Hierarchy
 from ..particles.particles import Particles
 from ..scene.scene import Scene
+from ..space_charge import self_field
 from ..space_charge.tagging_rules import refined, tags_of
 from ..stages.tag import Tags, living, tagged
 from .limits import require_room
@@ -48,17 +49,14 @@ def follow(beam: MeshedParticles, last: Solution | None, setup: Setup, hysteresi
 
 
 def _follow(quantities: Quantities, last: Solution | None, setup: Setup, hysteresis: float) -> Quantities:
-    """Return the same for what is known of the particles already.
-
-    Tags reach one level up at a time, and what cells hold changes with the mesh, so it goes on until the mesh stays.
-    """
+    """Return the same for what is known of the particles already."""
     with setup.clock("regrid"):
-        for _ in range(2 * setup.scene.refinement.levels):  # not for ever, where a rule goes round in circles
-            hierarchy = _refined(quantities, setup, hysteresis)
-            if hierarchy is quantities.hierarchy:
-                break
-            quantities = Quantities(quantities.beam.on(hierarchy, setup), last, setup)
-    return quantities
+        return self_field.follow(
+            quantities,
+            setup.scene.refinement.levels,
+            lambda present: _refined(present, setup, hysteresis),
+            lambda present, hierarchy: Quantities(present.beam.on(hierarchy, setup), last, setup),
+        )
 
 
 def _outrun(quantities: Quantities, setup: Setup) -> bool:

@@ -28,6 +28,7 @@ from ..scene.differences import differences, require_same, setting_text
 from ..scene.domain import DomainSection
 from ..scene.scene import Scene
 from ..scene.solver_options import SolverOptions
+from ..stages.gather import compensate
 from ..stages.migrate import migrate
 from ..stages.poisson import SolveReport
 from ..stages.regrid import carry_over
@@ -41,7 +42,7 @@ from .meshed import MeshedParticles, deposit
 from .records import Record
 from .setup import Setup, set_up
 from .solution import Solution
-from .solve import compensate_in, go_without_compensation, solve
+from .solve import go_without_compensation, solve
 from .state import State
 from .time_step import with_time_step
 
@@ -190,7 +191,8 @@ def _solution(setup: Setup, fields: Mapping[str, Field], extra: Mapping[str, Any
     )  # so that what the log has up to the checkpoint does not come again
     solution = _part(fields, frames, extra["report"], OF_CHARGE)
     if frames.only is not None:
-        compensate_in(frames.only, solution.efield, solution.rho, setup)
+        stretch = setup.solvers.stretch(frames.only)
+        compensate(solution.efield, solution.rho, setup.clouds, stretch)
     else:
         go_without_compensation(setup)
     if (reflected := frames.images) is not None:

@@ -19,12 +19,12 @@ from ..particles.particles import Particles
 from ..run.clock import Clock
 from ..scene.elements import MapElement
 from ..scene.scene import Scene
+from ..space_charge.solvers import Solvers
 from ..stages.diagnostics import moments
 from ..stages.encounters import native_aperture
 from .field_functions import FieldFunction, FieldFunctions
 from .movers import Mover, mover_of
 from .remarks import Remarks
-from .solvers import Solvers
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +72,12 @@ def set_up(comm: MPI.Comm, scene: Scene, fields: Sequence[FieldFunction] = ()) -
         FieldFunctions(comm, fields),
         [native_aperture(aperture) for aperture in scene.apertures],
         mover_of(scene),
-        Solvers(scene, remarks),
+        Solvers(
+            scene.solver,
+            None if scene.background == "none" else scene.background,
+            scene.domain.wall_functions(),
+            remarks.remark,
+        ),
         remarks,
     )
 

@@ -12,8 +12,8 @@ from ..parallel import global_sum
 from ..particles.energy_bins import Frames
 from ..particles.frame import LABORATORY, Frame
 from ..particles.motion_of_charge import charges
+from ..space_charge.self_field import self_field
 from ..stages.deposit import deposit
-from ..stages.gather import compensate
 from ..stages.poisson import SolveReport
 from ..stages.regrid import carry_over
 from .meshed import MeshedParticles
@@ -49,7 +49,6 @@ def _in_one_frame(
     guess = last.guess if last is not None and last.rho.hierarchy is hierarchy else before
     report_before = _last_report(last, frame, hierarchy)
     phi, efield, report = _solved(rho, guess, frame, frames, setup, last=report_before, deposited=deposited)
-    compensate_in(frame, efield, rho, setup)
     images, reflected = None, frames.images
     if reflected is not None:
         last_images = None if last is None else last.images
@@ -84,19 +83,11 @@ def _in_many_frames(beam: MeshedParticles, rho: Field, last: Solution | None, se
 
 
 def _solved(
-    rho: Field, guess: Field | None, frame: Frame, frames: Frames, setup: Setup, part: bool = False, **of_solve: Any
+    rho: Field, guess: Field | None, frame: Frame, frames: Frames, setup: Setup, **of_solve: Any
 ) -> tuple[Field, VectorField, SolveReport]:
     """Return φ and E of a density that rests in a frame, or of its images, and how the solve went."""
-    solvers, mirror = setup.solvers, frames.mirror_of(frame)
     with setup.clock("solve"):
-        phi, report = solvers.solve(rho, guess, frame, part, mirror=mirror, **of_solve)
-        solver = solvers.poisson(rho.hierarchy, frame, part, mirror)
-        return phi, solver.deferred_field(phi, covered=setup.clouds.covered), report
-
-
-def compensate_in(frame: Frame, efield: VectorField, rho: Field, setup: Setup) -> None:
-    """Let particles feel the field of a density, solved for in a frame, without what their clouds smooth."""
-    compensate(efield, rho, setup.clouds, setup.scene.solver.stretch if frame == LABORATORY else frame.stretch)
+        return self_field(setup.solvers, rho, guess, setup.clouds, frame, mirror=frames.mirror_of(frame), **of_solve)
 
 
 def go_without_compensation(setup: Setup) -> None:

@@ -1,10 +1,10 @@
-"""Formulas in x, y and z, as scene files hold them."""
+"""Formulas in x, y and z, or in t, as scene files hold them."""
 
 from __future__ import annotations
 
 import ast
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -29,8 +29,8 @@ _UNARY: dict[type[ast.unaryop], Callable[[Any], Any]] = {ast.UAdd: operator.pos,
 Value = np.ndarray | float
 
 
-def formula(text: str) -> Callable[[np.ndarray, np.ndarray, np.ndarray], Value]:
-    """Return the function of x, y and z (arrays, m) that a formula such as "1e6*(x^2 - y^2)" means.
+def formula(text: str, variables: Sequence[str] = COORDINATES) -> Callable[..., Value]:
+    """Return the function of x, y and z (arrays, m), or of other `variables`, that a formula such as "1e6*(x^2 - y^2)" means.
 
     Nothing but arithmetic, `pi` and the functions of `FUNCTIONS` is understood; anything else is a complaint.
     """
@@ -38,15 +38,15 @@ def formula(text: str) -> Callable[[np.ndarray, np.ndarray, np.ndarray], Value]:
         tree = ast.parse(text.replace("^", "**"), mode="eval").body
     except (SyntaxError, ValueError):
         raise complaint("is no formula", 'write one such as "1e6*(x^2 - y^2)"', found=text) from None
-    _check(tree, text)
-    return lambda x, y, z: _value(tree, {**CONSTANTS, "x": x, "y": y, "z": z})
+    _check(tree, text, variables)
+    return lambda *values: _value(tree, {**CONSTANTS, **dict(zip(variables, values, strict=True))})
 
 
-def _check(node: ast.expr, text: str) -> None:
+def _check(node: ast.expr, text: str, variables: Sequence[str]) -> None:
     match node:
         case ast.Constant(value=int() | float()):
             return
-        case ast.Name(id=name) if name in CONSTANTS or name in COORDINATES:
+        case ast.Name(id=name) if name in CONSTANTS or name in variables:
             return
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
             parts = [left, right]
@@ -59,14 +59,14 @@ def _check(node: ast.expr, text: str) -> None:
                     f"gives {name} {len(parts)} values", f"{name} takes {expected}; correct the formula", found=text
                 )
         case _:
-            names = ", ".join([*COORDINATES, *CONSTANTS, *FUNCTIONS])
+            names = ", ".join([*variables, *CONSTANTS, *FUNCTIONS])
             raise complaint(
                 f'holds "{ast.unparse(node)}", which no formula knows',
                 f"use numbers, + - * / ^ and {names}",
                 found=text,
             )
     for part in parts:
-        _check(part, text)
+        _check(part, text, variables)
 
 
 def _value(node: ast.expr, names: dict[str, Value]) -> Value:

@@ -17,9 +17,9 @@ from ..units import UNITS
 from .complaints import complaint
 
 LARGEST = 1e60  # of any quantity in SI units, so that products of a few of them are numbers still
-_NUMBER = r"[-+]?(?:\d+(?:_\d+)*\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+NUMBER = r"[-+]?(?:\d+(?:_\d+)*\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 MICRO, GREEK_MU = "\u00b5", "\u03bc"  # the micro sign and the Greek letter; keyboards have one or the other
-_QUANTITY = re.compile(rf"\s*({_NUMBER})\s*(.*?)\s*")
+_QUANTITY = re.compile(rf"\s*({NUMBER})\s*(.*?)\s*")
 
 
 def to_si(value: Any, kind: str) -> float:
@@ -56,7 +56,7 @@ class Quantity:
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         # The pattern constrains strings alone, limits constrain numbers alone.
         units = "|".join(UNITS[self.kind]).replace("^", r"\^").replace(MICRO, f"[{MICRO}{GREEK_MU}]")
-        pattern = rf"^\s*{_NUMBER}\s*({units})\s*$"
+        pattern = rf"^\s*{NUMBER}\s*({units})\s*$"
         unit = next(iter(UNITS[self.kind]))
         return {**handler(schema), "type": ["number", "string"], "pattern": pattern, "unit": unit}
 
@@ -88,7 +88,7 @@ def to_seconds(text: str) -> float:
 def to_metres(text: str) -> float:
     """Return a length in m, written as "2.5 mm" or a number of metres. Raises InputError."""
     try:
-        return to_si(float(text) if re.fullmatch(_NUMBER, text) else text, "length")
+        return to_si(float(text) if re.fullmatch(NUMBER, text) else text, "length")
     except PydanticCustomError:
         raise InputError(f'"{text}" is not a length; write it as "2.5 mm" or a number of metres') from None
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from .. import _native
 from ..errors import InputError
 
 FARTHEST = 1e30  # m: beyond it products of lengths leave the range of numbers
@@ -18,29 +19,43 @@ NAMES = ("x", "y", "z")
 @dataclass(frozen=True)
 class Arrays:
     """A caller's particles or places on this rank: float64 arrays (n,) of any stride, which are the caller's own memory
-    where they came as float64."""
+    where they came as float64. Values are checked where they are read: `CallersOrder.take`."""
 
     places: tuple[np.ndarray, np.ndarray, np.ndarray]  # m
     charge: np.ndarray | float  # C, one for all or (n,)
     alive: np.ndarray | None = None  # bool (n,), None if all are
+    names: tuple[str, str, str] = NAMES  # of the places
 
     def __len__(self) -> int:
         return len(self.places[0])
+
+
+class ColumnSums(NamedTuple):
+    """What values add up to and between which they lie; the sums are not finite if a value is not."""
+
+    sum: float = 0.0
+    magnitude: float = 0.0  # Σ |v|
+    least: float = np.inf
+    greatest: float = -np.inf
+
+    @property
+    def largest(self) -> float:
+        """The largest |v|, nan if a value is."""
+        return max(self.greatest, -self.least, 0.0) if np.isfinite(self.sum) else np.nan
+
+
+def column_sums(
+    column: np.ndarray, places: np.ndarray | None, shift: float = 0.0, scale: float = 1.0, out: np.ndarray | None = None
+) -> ColumnSums:
+    """Write (v - shift) · scale of the values v at places, None for all, into `out`, and return what v add up to."""
+    return ColumnSums(*_native.take_column(column, places, shift, scale, out))
 
 
 def particles(x: Any, y: Any, z: Any, charge: Any, alive: Any = None) -> Arrays:
     """Return the arrays of particles. InputError for those that make none."""
     places = _columns((x, y, z), NAMES)
     mask = None if alive is None else _mask(alive, len(places[0]))
-    _require_finite(places, NAMES, mask)
-    value = number_or_column(charge, "charge", len(places[0]))
-    living = np.atleast_1d(value if mask is None or isinstance(value, float) else value[mask])
-    if not (len(living) == 0 or max(living.max(), -living.min()) <= MOST_CHARGE):
-        raise InputError(
-            f"charge holds values that are not finite or beyond {MOST_CHARGE:g} C; correct them, or leave these particles out "
-            "by alive"
-        )
-    return Arrays(places, value, mask)
+    return Arrays(places, number_or_column(charge, "charge", len(places[0])), mask)
 
 
 def other_places(at: Any) -> Arrays:
@@ -49,10 +64,28 @@ def other_places(at: Any) -> Arrays:
         at = at.T
     if not isinstance(at, Sequence | np.ndarray) or len(at) != 3:
         raise InputError("at is neither three arrays nor one of shape (m, 3); give x, y and z of the places in m")
-    names = tuple(f"{name} of at" for name in NAMES)
-    places = _columns(at, names)
-    _require_finite(places, names, None)
-    return Arrays(places, 0.0)
+    names = ("x of at", "y of at", "z of at")
+    return Arrays(_columns(at, names), 0.0, names=names)
+
+
+def require_places(sums: ColumnSums, given: Arrays, axis: int) -> None:
+    """Raise InputError if a coordinate of what lives is none."""
+    if not sums.largest <= FARTHEST:
+        column = given.places[axis] if given.alive is None else given.places[axis][given.alive]
+        bad = int(np.count_nonzero(~(np.abs(column) <= FARTHEST)))
+        raise InputError(
+            f"{given.names[axis]} has {bad} values that are not finite or beyond {FARTHEST:g} m; correct them, or leave these "
+            "particles out by alive"
+        )
+
+
+def require_charges(sums: ColumnSums) -> None:
+    """Raise InputError if a charge of what lives is none."""
+    if not sums.largest <= MOST_CHARGE:
+        raise InputError(
+            f"charge holds values that are not finite or beyond {MOST_CHARGE:g} C; correct them, or leave these particles out "
+            "by alive"
+        )
 
 
 def number(value: Any, name: str, least: float = -np.inf, above: float = -np.inf) -> float:
@@ -97,7 +130,9 @@ def _reals(value: Any, name: str) -> np.ndarray:
         raise InputError(f"{name} is no array of numbers ({type(refused).__name__}); give a NumPy array") from None
     if found.dtype.kind not in "fiu":
         raise InputError(f"{name} holds values of type {found.dtype}; give real numbers")
-    return found.astype(np.float64, copy=False)
+    found = found.astype(np.float64, copy=False)
+    even = found.flags.aligned and all(stride % found.itemsize == 0 for stride in found.strides)
+    return found if even else found.copy()
 
 
 def _mask(alive: Any, count: int) -> np.ndarray | None:
@@ -107,19 +142,6 @@ def _mask(alive: Any, count: int) -> np.ndarray | None:
             f"alive has the shape {found.shape} and type {found.dtype}; give one bool per particle, ({count},)"
         )
     return None if found.all() else found
-
-
-def _require_finite(places: Sequence[np.ndarray], names: Sequence[str], alive: np.ndarray | None) -> None:
-    for column, name in zip(places, names, strict=True):
-        values = column if alive is None else column[alive]
-        with np.errstate(invalid="ignore"):
-            if len(values) == 0 or max(values.max(), -values.min()) <= FARTHEST:
-                continue
-        bad = int(np.count_nonzero(~(np.abs(values) <= FARTHEST)))
-        raise InputError(
-            f"{name} has {bad} values that are not finite or beyond {FARTHEST:g} m; correct them, or leave these particles out "
-            "by alive"
-        )
 
 
 def _brief(value: Any) -> str:

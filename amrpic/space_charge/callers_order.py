@@ -2,19 +2,55 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from mpi4py import MPI
 
+from .. import _native
+from ..mesh.field import VectorField
+from ..mesh.hierarchy import Hierarchy
 from ..parallel import Communicator
-from ..particles.arrays import empty_columns, recycled
+from ..particles.arrays import empty_columns, recycled, zero_columns
+from ..particles.clouds import Clouds
 from ..particles.particles import Particles
 from ..particles.species import Species, SpeciesTable
-from .callers_arrays import Arrays
+from ..stages.gather import gather, gather_into_places
+from ..stages.migrate import NONE, migrate_without
+from .callers_arrays import Arrays, ColumnSums, column_sums, require_charges, require_places
+from .placing import Coordinates
 
 CHARGES = SpeciesTable((Species("charge", charge=1.0, mass=1.0),))  # the weight of a particle is its charge in C
 MIXED = 0.1  # of neighbours in the caller's order that are not neighbours when sorted, from which that is kept
 SAMPLED = 16  # one of so many pairs is looked at
 MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)  # of the golden ratio: spreads bits
+
+
+@dataclass(frozen=True, eq=False)
+class Taken:
+    """This rank's living particles, in the order in which they are taken."""
+
+    position: np.ndarray  # (k, 3) in the coordinates of the mesh
+    charge: np.ndarray  # (k,) C, one number that is repeated if all are equal
+    magnitude: float  # Σ |q|, C
+    places: tuple[ColumnSums, ColumnSums, ColumnSums]  # of x, y and z, m
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+
+class Buffers:
+    """Keeps the memory of one call for the next, between which nothing of it is in use."""
+
+    COLUMNS = 16  # of eight bytes for each particle, that a call has at a time
+
+    def __init__(self) -> None:
+        self._particles, self._reserved = 0, _native.ReservedMemory(0)
+
+    def serve(self, particles: int) -> None:
+        """Let there be room for so many particles."""
+        if particles != self._particles:
+            self._particles, self._reserved = particles, _native.ReservedMemory(8 * self.COLUMNS * particles)
 
 
 class CallersOrder:
@@ -30,32 +66,32 @@ class CallersOrder:
         self._of = -1  # number of particles that `_order` is of
         self._alive: np.ndarray | None = None
         self._numbers = np.zeros(0, dtype=np.int64)  # 0, 1, 2, …
-        self._at_rest = empty_columns(0)
+        self.outside = 0  # particles of all ranks that lay outside the mesh when they were sorted
 
-    def columns(self, given: Arrays) -> tuple[list[np.ndarray], np.ndarray]:
-        """Return x, y and z of the living particles, and their charges, each (k,), in the order in which they are taken.
-
-        They may be the caller's memory. Local.
-        """
+    def take(self, given: Arrays, coordinates: Coordinates) -> Taken:
+        """Return the living particles in coordinates of a mesh. Local; InputError for values that are no places or charges."""
         self._take_up(given)
-        charge = np.asarray(given.charge) if np.ndim(given.charge) == 0 else self._taken(np.asarray(given.charge))
-        places = [self._taken(column) for column in given.places]
-        charge = np.broadcast_to(charge, len(places[0]))
         if self._reproducible:
-            canonical = np.lexsort((charge, *places[::-1]))
-            self._order = canonical if self._order is None else self._order[canonical]
-            places, charge = [column[canonical] for column in places], _chosen(charge, canonical)
-        return places, charge
+            self._sort_by_value(given)
+        count = len(given) if self._order is None else len(self._order)
+        position = empty_columns(count)
+        x, y, z = (self._coordinate(given, axis, coordinates, position) for axis in range(3))
+        charge, of_charge = self._charges(given, count)
+        return Taken(position, charge, of_charge.magnitude, (x, y, z))
 
-    def particles(self, position: np.ndarray, charge: np.ndarray, first: int) -> Particles:
-        """Return particles at positions (k, 3) in the order of `columns`; `first` is the id of this rank's first one."""
-        count = len(position)
-        if len(self._at_rest) != count:
-            self._at_rest = empty_columns(count)
-            self._at_rest[...] = 0
+    def moved(self, taken: Taken, given: Arrays, before: Coordinates, after: Coordinates) -> Taken:
+        """Return what was taken in some coordinates in others. Local."""
+        for axis in range(3):
+            if before.along(axis) != after.along(axis):
+                self._coordinate(given, axis, after, taken.position)
+        return taken
+
+    def particles(self, taken: Taken, first: int) -> Particles:
+        """Return what was taken as particles; `first` is the id of this rank's first one."""
+        position, charge, count = taken.position, taken.charge, len(taken)
         places = self._indices(count)
         if not self._reproducible:
-            return Particles(position, self._at_rest, charge, places + first if first else places, CHARGES)
+            return Particles(position, zero_columns(count), charge, places + first if first else places, CHARGES)
         # who serves a particle follows from its id, so that is made of what it is, and its number goes with the momentum
         momentum = empty_columns(count)
         momentum[...] = 0
@@ -66,29 +102,44 @@ class CallersOrder:
         """Return the numbers, `first` + index in the caller's arrays, of sorted particles, int64 (k,)."""
         return particles.momentum[:, 0].astype(np.int64) if self._reproducible else particles.id
 
-    def settled(self, particles: Particles) -> Particles | None:
-        """Return particles that were sorted on a hierarchy in the order in which those of a brick are to follow each other, to
-        be sorted again; None if they are right. Local."""
-        if not self._reproducible:
-            return None
-        return particles.select(np.lexsort((particles.weight, *particles.position.T[::-1])))
+    def sort(self, hierarchy: Hierarchy, particles: Particles, servers: np.ndarray | None) -> Particles:
+        """Return particles sorted on a hierarchy, without those that lie outside it: `outside` says how many. Collective.
 
-    def back(self, comm: Communicator, particles: Particles, values: np.ndarray, counts: np.ndarray) -> np.ndarray:
-        """Return values (k, 3) of particles that are sorted on this rank, as values (n, 3) of this rank's caller. Collective.
+        `servers` that serve no longer are replaced.
+        """
+        evenly, at_rest = servers is not None, not self._reproducible
+        found, _, self.outside = migrate_without(particles, hierarchy, NONE, servers, evenly, at_rest=at_rest)
+        if self._reproducible:
+            assert found.sorting is not None
+            among = np.lexsort((found.weight, *found.position.T[::-1]))  # those of a brick follow each other so
+            found = migrate_without(found.select(among), hierarchy, NONE, found.sorting.servers)[0]
+        return found
+
+    def back(
+        self,
+        efield: VectorField,
+        particles: Particles,
+        clouds: Clouds,
+        counts: np.ndarray,
+        factors: tuple[float, float, float],
+    ) -> np.ndarray:
+        """Return the field at particles that are sorted, times factors, as values (n, 3) of this rank's caller. Collective.
 
         Zero for those that are lost or do not live. `counts`: particles of each rank's caller, (ranks,).
         """
-        firsts = np.concatenate([[0], np.cumsum(counts)])
-        first, count = firsts[comm.rank], int(counts[comm.rank])
-        numbers = self.numbers(particles)
-        if comm.size > 1:
-            numbers, values = _returned(comm, numbers, values, firsts)
-            numbers = numbers - first
+        comm, numbers = efield.hierarchy.comm, self.numbers(particles)
+        count = int(counts[comm.rank])
         out = empty_columns(count)
+        if comm.size > 1:
+            firsts = np.concatenate([[0], np.cumsum(counts)])
+            numbers, values = _returned(comm, numbers, gather(efield, particles, clouds), firsts)
+            numbers = numbers - firsts[comm.rank]
         if len(numbers) < count:
             out[...] = 0
-        for target, source in zip(out.T, values.T, strict=True):
-            target[numbers] = source
+        if comm.size > 1:
+            _native.put_into_places(values, numbers, factors, out)
+        else:
+            gather_into_places(efield, particles, clouds, numbers, factors, out)
         self._keep(numbers, count)
         return out
 
@@ -104,10 +155,28 @@ class CallersOrder:
             if given.alive is not None:
                 self._order = np.flatnonzero(given.alive)
 
-    def _taken(self, column: np.ndarray) -> np.ndarray:
-        if self._order is None:
-            return column
-        return np.take(column, self._order, out=recycled(len(self._order), np.float64), mode="clip")
+    def _sort_by_value(self, given: Arrays) -> None:
+        """Take particles in an order that depends on their places and charges alone."""
+        keys = [key for key in (given.charge, *given.places[::-1]) if isinstance(key, np.ndarray)]
+        canonical = np.lexsort([key if self._order is None else key[self._order] for key in keys])
+        self._order = canonical if self._order is None else self._order[canonical]
+
+    def _coordinate(self, given: Arrays, axis: int, coordinates: Coordinates, position: np.ndarray) -> ColumnSums:
+        sums = column_sums(given.places[axis], self._order, *coordinates.along(axis), position[:, axis])
+        require_places(sums, given, axis)
+        return sums
+
+    def _charges(self, given: Arrays, count: int) -> tuple[np.ndarray, ColumnSums]:
+        """Return the charges that are taken (k,), and what they add up to."""
+        charge = given.charge
+        if isinstance(charge, float):
+            sums = ColumnSums(count * charge, count * abs(charge), charge, charge)
+        else:
+            out = recycled(count, np.float64)
+            sums = column_sums(charge, self._order, out=out)
+        require_charges(sums)
+        equal = sums.least == sums.greatest
+        return (np.broadcast_to(sums.least, count) if equal or count == 0 else out), sums
 
     def _indices(self, count: int) -> np.ndarray:
         if self._order is not None:
@@ -130,10 +199,6 @@ class CallersOrder:
             left[numbers] = False
             numbers = np.concatenate([numbers, np.flatnonzero(left)])
         self._order = numbers
-
-
-def _chosen(charge: np.ndarray, order: np.ndarray) -> np.ndarray:
-    return charge if charge.strides == (0,) else charge[order]
 
 
 def _digest(position: np.ndarray, charge: np.ndarray) -> np.ndarray:

@@ -21,15 +21,14 @@ from ..scene.complaints import mistakes
 from ..scene.refinement import Refinement
 from ..scene.refinement_rules import CallableRule, MomentumRule, RuleKind, every_rule
 from ..scene.solver_options import SolverSection
-from ..stages.gather import gather
 from ..units import SPEED_OF_LIGHT
 from . import callers_arrays
-from .callers_arrays import Arrays
-from .callers_order import CallersOrder
-from .placing import Extent, Placing, extent_of, levels_for, sizes_of
-from .self_field import ChargeOnMesh, SelfField, sorted_on
+from .callers_arrays import ColumnSums
+from .callers_order import Buffers, CallersOrder, Taken
+from .charge_on_mesh import ChargeOnMesh, Memory
+from .placing import Coordinates, Extent, Placing, extent_of, levels_for, sizes_of
 
-NOWHERE = (np.zeros(0), np.zeros(0), np.zeros(0))
+NOWHERE = (ColumnSums(),) * 3
 
 
 class SpaceCharge:
@@ -90,12 +89,13 @@ class SpaceCharge:
         )
         options = _section(SolverSection, tolerance=tolerance)
         self._levels = refinement.levels
-        self._field = SelfField(refinement, options)
+        self._memory = Memory(refinement, options)
         self._order, self._order_of_places = CallersOrder(reproducible), CallersOrder()
         self._comm: Communicator | None = None
         self._hierarchy: Hierarchy | None = None
         self._servers: np.ndarray | None = None
         self._calls = 0  # since the domain is what it is
+        self._buffers = Buffers()
         self.outside = 0  # living particles that lay outside the domain in the latest call
 
     def field(
@@ -119,8 +119,7 @@ class SpaceCharge:
 
         Arrays are read where they are, in any stride; other types than float64 are converted, complex ones refused.
         """
-        out, gamma = self._at_rest(x, y, z, charge, gamma, at, alive)
-        out[:, :2] *= gamma
+        out, gamma = self._times(lambda _, gamma: (gamma, gamma, 1.0), x, y, z, charge, gamma, at, alive)
         if not magnetic:
             return out
         bfield, beta = np.zeros_like(out), np.sqrt(1 - gamma**-2)
@@ -150,22 +149,19 @@ class SpaceCharge:
         signed, C/kg; one number for all, or (n,).
         """
 
-        def strengths(count: int) -> tuple[float, np.ndarray | float]:
-            path, beta = callers_arrays.number(length, "length"), callers_arrays.number(beta0, "beta0", above=0)
-            lorentz = callers_arrays.number(gamma0, "gamma0", least=1)
-            ratio = callers_arrays.number_or_column(charge_to_mass, "charge_to_mass", count)
-            if abs(beta - np.sqrt(1 - lorentz**-2)) > 1e-6:
-                raise InputError(
-                    f"beta0 is {beta}, but gamma0 = {lorentz} means {np.sqrt(1 - lorentz**-2)}; correct one"
-                )
-            return path / (beta**2 * SPEED_OF_LIGHT**2 * lorentz), ratio
+        ratios: list[np.ndarray | float] = []
 
-        found: list[tuple[float, np.ndarray | float]] = []
-        out, gamma = self._at_rest(x, y, z, charge, gamma0, None, alive, lambda count: found.append(strengths(count)))
-        factor, ratio = found[0]
-        factors = np.multiply(ratio, factor)
-        for column, part in zip(out.T, (1 / gamma, 1 / gamma, 1.0), strict=True):
-            column *= factors * part
+        def factors(count: int, gamma: float) -> tuple[float, float, float]:
+            path, beta = callers_arrays.number(length, "length"), callers_arrays.number(beta0, "beta0", above=0)
+            ratios.append(callers_arrays.number_or_column(charge_to_mass, "charge_to_mass", count))
+            if abs(beta - np.sqrt(1 - gamma**-2)) > 1e-6:
+                raise InputError(f"beta0 is {beta}, but gamma0 = {gamma} means {np.sqrt(1 - gamma**-2)}; correct one")
+            along = path / (beta**2 * SPEED_OF_LIGHT**2 * gamma)
+            return along / gamma, along / gamma, along
+
+        out, _ = self._times(factors, x, y, z, charge, gamma0, None, alive, "gamma0")
+        for column in out.T:
+            column *= ratios[0]
         return out
 
     @property
@@ -181,11 +177,12 @@ class SpaceCharge:
     @property
     def cycles(self) -> int:
         """Cycles that the latest solve took."""
-        return 0 if self._field.report is None else self._field.report.cycles
+        return 0 if self._memory.report is None else self._memory.report.cycles
 
     # ---- a call ----
-    def _at_rest(
+    def _times(
         self,
+        factors: Callable[[int, float], tuple[float, float, float]],
         x: Any,
         y: Any,
         z: Any,
@@ -193,80 +190,78 @@ class SpaceCharge:
         gamma: Any,
         at: Any,
         alive: Any,
-        more: Callable[[int], None] = lambda count: None,
+        name: str = "gamma",
     ) -> tuple[np.ndarray, float]:
-        """Return the field (n, 3) in V/m where the bunch is at rest, and γ. Collective."""
+        """Return the field (n, 3) in V/m where the bunch is at rest, times factors, and γ, which has a name. Collective.
+
+        `factors`: of how many particles this rank brings, and γ.
+        """
         comm = self._comm = own(MPI.COMM_WORLD if self.settings["comm"] is None else self.settings["comm"])
+        order, others, placing = self._order, self._order_of_places, self._placing
         with together(comm, InputError):
             given = callers_arrays.particles(x, y, z, charge, alive)
-            lorentz = callers_arrays.number(gamma, "gamma", least=1)
+            lorentz = callers_arrays.number(gamma, name, least=1)
             places = None if at is None else callers_arrays.other_places(at)
-            more(len(given))
+            times = factors(len(given), lorentz)
+            before = Coordinates(placing.centre, lorentz)
+            self._buffers.serve(len(given) + (0 if places is None else len(places)))
+            taken, points = order.take(given, before), None if places is None else others.take(places, before)
         counts = self._counts(comm, len(given), -1 if places is None else len(places), lorentz)
-        columns, charges = self._order.columns(given)
-        extent = extent_of(comm, columns, charges, NOWHERE if places is None else places.places)
-        if extent.count == 0 or extent.magnitude == 0 or (extent.count == 1 and places is None and self._placing.free):
+        extent = extent_of(
+            comm, len(taken), taken.magnitude, taken.places, NOWHERE if points is None else points.places
+        )
+        if extent.count == 0 or extent.magnitude == 0 or (extent.count == 1 and places is None and placing.free):
             self.outside = 0
-            return np.zeros((len(places or given), 3)), lorentz
+            return np.zeros((len(given if places is None else places), 3)), lorentz
         with together(comm, InputError):
-            anew = self._placing.follow(extent, lorentz, self._regrids)
-        particles, efield = self._solved(comm, extent, self._placing.positions(columns), charges, counts[:, 0], anew)
+            anew = placing.follow(extent, lorentz, self._regrids)
+        taken = order.moved(taken, given, before, placing.coordinates)
+        particles, efield = self._solved(comm, extent, taken, counts[:, 0], anew)
         self._calls += 1
-        if places is None:
-            return self._order.back(
-                comm, particles, gather(efield, particles, self._field.clouds), counts[:, 0]
-            ), lorentz
-        return self._elsewhere(comm, efield, places, counts[:, 1]), lorentz
+        if places is not None and points is not None:
+            points = others.moved(points, places, before, placing.coordinates)
+            there = others.particles(points, int(counts[: comm.rank, 1].sum()))
+            particles = others.sort(efield.hierarchy, there, None)
+            order, counts = others, counts[:, 1:]
+        return order.back(efield, particles, self._memory.clouds, counts[:, 0], times), lorentz
 
     def _solved(
-        self,
-        comm: Communicator,
-        extent: Extent,
-        position: np.ndarray,
-        charges: np.ndarray,
-        counts: np.ndarray,
-        anew: bool,
+        self, comm: Communicator, extent: Extent, taken: Taken, counts: np.ndarray, anew: bool
     ) -> tuple[Particles, VectorField]:
         """Return the particles sorted on the mesh, and their field there. Collective."""
-        field, due = self._field, anew or self._regrids
+        memory, order, due = self._memory, self._order, anew or self._regrids
         if anew:
-            self._begin(comm, extent, position, charges)
+            self._begin(comm, extent, taken)
         assert self._hierarchy is not None
-        given = self._order.particles(position, charges, int(counts[: comm.rank].sum()))
-        particles, self.outside = sorted_on(self._hierarchy, given, self._servers, self._order.settled)
-        if due and field.refinement.follows:
-            hysteresis = 1.0 if anew else field.refinement.hysteresis
-            particles = field.follow(particles, extent.magnitude, hysteresis, self._order.settled)
+        given = order.particles(taken, int(counts[: comm.rank].sum()))
+        charge = ChargeOnMesh(memory, order.sort(self._hierarchy, given, self._servers), extent.magnitude)
+        self.outside = order.outside
+        if due and memory.refinement.follows:
+            charge = charge.followed(1.0 if anew else memory.refinement.hysteresis, order.sort)
+        particles = charge.particles
         assert particles.sorting is not None
         self._hierarchy, self._servers = particles.sorting.hierarchy, particles.sorting.servers
-        return particles, ChargeOnMesh(field, particles, extent.magnitude)["efield"]
+        return particles, charge["efield"]
 
-    def _begin(self, comm: Communicator, extent: Extent, position: np.ndarray, charges: np.ndarray) -> None:
+    def _begin(self, comm: Communicator, extent: Extent, taken: Taken) -> None:
         """Make a mesh of the base alone on a new domain, and choose its levels and the clouds. Collective."""
-        domain, field = self._placing.domain, self._field
+        domain, memory = self._placing.domain, self._memory
         assert domain is not None
-        number, rms = sizes_of(comm, position, charges, extent)
+        number, rms = sizes_of(comm, taken.position, taken.charge, extent)
         levels = levels_for(domain, rms, extent.count) if self._auto_levels else self._levels
-        field.refinement = field.refinement.model_copy(update={"levels": levels})
+        memory.refinement = memory.refinement.model_copy(update={"levels": levels})
         widths = domain.spacing / 2**levels
         pays = compensation_pays(number, rms / widths, self._shape)
         compensation = ("clouds-and-mesh" if pays else "none") if self._compensation == "auto" else self._compensation
         matched = levels > 0 and matched_pays(number, rms / widths)
-        field.clouds = Clouds(self._shape, matched, compensation)
-        field.start_anew()
-        sizes = field.refinement.max_grid_size, field.refinement.blocking_factor
+        memory.clouds = Clouds(self._shape, matched, compensation)
+        memory.start_anew()
+        sizes = memory.refinement.max_grid_size, memory.refinement.blocking_factor
         self._hierarchy, self._servers, self._calls = Hierarchy(comm, domain, (), *sizes), None, 0
-
-    def _elsewhere(self, comm: Communicator, efield: VectorField, places: Arrays, counts: np.ndarray) -> np.ndarray:
-        """Return the field at other places of each rank, (m, 3). Collective."""
-        columns, none = self._order_of_places.columns(places)
-        given = self._order_of_places.particles(self._placing.positions(columns), none, int(counts[: comm.rank].sum()))
-        points, _ = sorted_on(efield.hierarchy, given, None, lambda sorted_: None)
-        return self._order_of_places.back(comm, points, gather(efield, points, self._field.clouds), counts)
 
     @property
     def _regrids(self) -> bool:
-        every = self._field.refinement.regrid_every
+        every = self._memory.refinement.regrid_every
         return every > 0 and self._calls > 0 and self._calls % every == 0
 
     def _counts(self, comm: Communicator, particles: int, places: int, gamma: float) -> np.ndarray:

@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from ..errors import InputError
 from ..mesh.domain import AXES, Domain
 from ..parallel import Communicator, global_sums_and_largest
-from ..particles.arrays import empty_columns
 from ..particles.frame import SLOW
+from .callers_arrays import ColumnSums
 
 ROOM = 0.1  # of the extent, beside it at either side
 LEAST_PART = 0.5  # of the extent that the mesh was made for, below which it is made anew at a regrid
@@ -43,26 +44,23 @@ class Extent:
 
 
 def extent_of(
-    comm: Communicator, columns: Sequence[np.ndarray], charge: np.ndarray, others: Sequence[np.ndarray]
+    comm: Communicator, count: int, magnitude: float, places: Sequence[ColumnSums], others: Sequence[ColumnSums]
 ) -> Extent:
-    """Return the extent of particles at x, y and z (k,) with charges (k,), and of other places. Collective."""
-    equal = len(charge) > 0 and charge.strides == (0,)
-    magnitude = len(charge) * abs(charge[0]) if equal else np.abs(charge).sum()
-    sums = {"count": float(len(charge)), "magnitude": float(magnitude)}
-    largest = {}
-    for axis, (column, other) in enumerate(zip(columns, others, strict=True)):
-        sums[f"sum {axis}"] = float(column.sum())
-        for what, values in (("", column), ("other", other)):
-            largest[f"{what} lower {axis}"] = -float(values.min(initial=np.inf))
-            largest[f"{what} upper {axis}"] = float(values.max(initial=-np.inf))
+    """Return the extent of particles, of which x, y and z add up so, and of other places. `magnitude`: Σ |q|, C. Collective."""
+    sums, largest = {"count": float(count), "magnitude": magnitude}, {}
+    for axis, (of, other) in enumerate(zip(places, others, strict=True)):
+        sums[f"sum {axis}"] = of.sum
+        for what, values in (("", of), ("other", other)):
+            largest[f"{what} lower {axis}"] = -values.least
+            largest[f"{what} upper {axis}"] = values.greatest
     found = global_sums_and_largest(comm, sums, largest)
 
     def three(name: str) -> np.ndarray:
         return np.array([found[f"{name} {axis}"] for axis in range(3)])
 
-    count, lower, upper = int(found["count"]), -three(" lower"), three(" upper")
+    lower, upper = -three(" lower"), three(" upper")
     reach = np.minimum(lower, -three("other lower")), np.maximum(upper, three("other upper"))
-    return Extent(count, three("sum") / max(count, 1), lower, upper, reach, found["magnitude"])
+    return Extent(int(found["count"]), three("sum") / max(found["count"], 1), lower, upper, reach, found["magnitude"])
 
 
 def sizes_of(comm: Communicator, position: np.ndarray, charge: np.ndarray, extent: Extent) -> tuple[float, np.ndarray]:
@@ -72,6 +70,17 @@ def sizes_of(comm: Communicator, position: np.ndarray, charge: np.ndarray, exten
     square, *moments = comm.allreduce(np.array(sums)).tolist()
     mean, squares = np.array(moments).reshape(2, 3) / max(extent.count, 1)
     return (1.0 / square if square > 0 else 0.0), np.sqrt(np.maximum(squares - mean**2, 0.0))
+
+
+class Coordinates(NamedTuple):
+    """Those of a mesh: x, y and γz from a centre."""
+
+    centre: np.ndarray  # (3,) m
+    gamma: float
+
+    def along(self, axis: int) -> tuple[float, float]:
+        """What is subtracted from x, y or z, m, and what the rest is multiplied by."""
+        return float(self.centre[axis]), self.gamma if axis == 2 else 1.0
 
 
 class Placing:
@@ -91,6 +100,11 @@ class Placing:
         """Whether there are no walls and periods, so that a particle alone feels nothing."""
         return self._given is None
 
+    @property
+    def coordinates(self) -> Coordinates:
+        """The present ones."""
+        return Coordinates(self.centre, self.gamma)
+
     def follow(self, extent: Extent, gamma: float, tighten: bool) -> bool:
         """Move along with particles; return whether the domain is another one now. Local, the same on all ranks.
 
@@ -106,15 +120,6 @@ class Placing:
             self.centre = self._centre(extent)
         self.gamma = gamma
         return self.domain is not before
-
-    def positions(self, columns: Sequence[np.ndarray]) -> np.ndarray:
-        """Return x, y and z (k,) in m as positions (k, 3) in the mesh's coordinates."""
-        out = empty_columns(len(columns[0]))
-        for target, column, centre in zip(out.T, columns, self.centre, strict=True):
-            np.subtract(column, centre, out=target)
-        if self.gamma != 1:
-            out[:, 2] *= self.gamma
-        return out
 
     def _scale(self, gamma: float) -> np.ndarray:
         return np.array([1.0, 1.0, gamma])

@@ -1,122 +1,56 @@
-"""The field of charge on a mesh that follows it: deposit, solve, and the field that particles feel."""
+"""The field of charge on a mesh: what a step of a run and a call with arrays do between deposit and gather."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any, TypeVar
 
-import numpy as np
-
-from ..errors import SolverError
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
-from ..particles.clouds import PLAIN
-from ..particles.particles import Particles
-from ..scene.refinement import Refinement
-from ..scene.solver_options import SolverOptions
-from ..stages.deposit import deposit
+from ..mesh.mirror import Mirror
+from ..particles.clouds import Clouds
+from ..particles.frame import LABORATORY, Frame
 from ..stages.gather import compensate
-from ..stages.migrate import NONE, migrate_without, shared_out_by_work
-from ..stages.poisson import PoissonSolver, SolveReport
-from ..stages.regrid import carry_over
+from ..stages.poisson import SolveReport
 from .quantities import QuantitiesOnMesh
-from .tagging_rules import refined
+from .solvers import Solvers
 
-Settle = Callable[[Particles], Particles | None]
+Q = TypeVar("Q", bound=QuantitiesOnMesh)
 
 
-class SelfField:
-    """What finds the field of particles on a hierarchy: a solver that lives as long as that, and the potential to start from.
+def self_field(
+    solvers: Solvers,
+    rho: Field,
+    guess: Field | None,
+    clouds: Clouds,
+    frame: Frame = LABORATORY,
+    part: bool = False,
+    mirror: Mirror | None = None,
+    image: bool = False,
+    **of_solve: Any,
+) -> tuple[Field, VectorField, SolveReport]:
+    """Return φ (V) of a density that rests in a frame, the E (V/m) that its particles feel, and how the solve went. Collective.
 
-    Particles are values that come and go; φ and the estimate of the mesh's error stay for the next solve.
+    Compensated clouds take back what they smooth, except of a `part` of the charge and of its `image`.
+    Arguments as for `Solvers.solve`. SolverError if the solve does not converge.
     """
-
-    def __init__(self, refinement: Refinement, options: SolverOptions) -> None:
-        self.refinement, self.options = refinement, options
-        self.clouds = PLAIN
-        self.report: SolveReport | None = None  # of the latest solve
-        self._solver: PoissonSolver | None = None
-        self._phi: Field | None = None
-
-    def start_anew(self) -> None:
-        """Forget the potential, as for other charge."""
-        self._phi = self.report = None
-
-    def solved(self, rho: Field, deposited: float) -> tuple[Field, VectorField]:
-        """Return φ (V) of a density, and the E (V/m) that its particles feel. Collective; SolverError if the solve fails.
-
-        `deposited`: Σ |q| in C, of which rounding is no net charge.
-        """
-        solver, hierarchy = self._on(rho.hierarchy), rho.hierarchy
-        same = self._phi is not None and self._phi.hierarchy is hierarchy
-        guess = self._phi if same or self._phi is None else carry_over(self._phi, hierarchy)
-        phi, report = solver.solve(rho, guess, last=self.report if same else None, deposited=deposited)
-        if not report.converged:
-            reached = report.residuals[-1] if report.residuals else float("nan")
-            raise SolverError(f"residual {reached:.1e} after {report.cycles} cycles ({report.reason}); {report.remedy}")
-        self._phi, self.report = phi, report
-        efield = solver.deferred_field(phi, covered=self.clouds.covered)
-        compensate(efield, rho, self.clouds, self.options.stretch)
-        return phi, efield
-
-    def follow(self, particles: Particles, deposited: float, hysteresis: float, settle: Settle) -> Particles:
-        """Return the particles sorted on a mesh that is refined where the rule asks for it. Collective."""
-        for _ in range(2 * self.refinement.levels):  # not for ever, where a rule goes round in circles
-            hierarchy = refined(ChargeOnMesh(self, particles, deposited), self.refinement, hysteresis)[0]
-            if particles.sorting is not None and hierarchy is particles.sorting.hierarchy:
-                break
-            servers = shared_out_by_work(particles, hierarchy)
-            particles = sorted_on(hierarchy, particles, servers, settle)[0]
-        return particles
-
-    def _on(self, hierarchy: Hierarchy) -> PoissonSolver:
-        solver = self._solver
-        if solver is not None and solver.hierarchy is hierarchy:
-            return solver
-        kept = solver.base_setup if solver is not None and solver.hierarchy.domain == hierarchy.domain else None
-        solver = self._solver = None  # the old operators go before the new ones come
-        self._solver = PoissonSolver(hierarchy, options=self.options, reuse=kept)
-        return self._solver
+    phi, report = solvers.solve(rho, guess, frame, part, mirror=mirror, image=image, **of_solve)
+    solver = solvers.poisson(rho.hierarchy, frame, part, mirror)
+    efield = solver.deferred_field(phi, covered=clouds.covered)
+    if not part and not image:
+        compensate(efield, rho, clouds, solvers.stretch(frame))
+    return phi, efield, report
 
 
-class ChargeOnMesh(QuantitiesOnMesh):
-    """Those of charge whose field is found anew."""
+def follow(quantities: Q, levels: int, refined: Callable[[Q], Hierarchy], on: Callable[[Q, Hierarchy], Q]) -> Q:
+    """Return what is known of particles on a mesh, those of the mesh that is asked for. Collective.
 
-    def __init__(self, of: SelfField, particles: Particles, deposited: float) -> None:
-        assert particles.sorting is not None
-        super().__init__(particles, particles.sorting.hierarchy)
-        self._of, self._deposited = of, deposited
-
-    def _rho(self) -> Field:
-        return deposit(self.particles, self.hierarchy, self._of.clouds)
-
-    def _phi(self) -> Field:
-        return self._solved()[0]
-
-    def _efield(self) -> VectorField:
-        return self._solved()[1]
-
-    def _solved(self) -> tuple[Field, VectorField]:
-        """Return potential and field, of which the one that is not asked for is kept as well. Collective."""
-        phi, efield = self._of.solved(self["rho"], self._deposited)
-        self._made.update(phi=phi, efield=efield)
-        return phi, efield
-
-
-def sorted_on(
-    hierarchy: Hierarchy, particles: Particles, servers: np.ndarray | None, settle: Settle
-) -> tuple[Particles, int]:
-    """Return particles sorted on a hierarchy, and how many of all ranks lie outside it. Collective.
-
-    `servers` that serve no longer are replaced. `settle` may ask for another order of those of a brick.
+    `refined`: the hierarchy that the rule asks for, the present one if it is that. `on`: the same particles on another one.
+    Tags reach one level up at a time, and what cells hold changes with the mesh, so it goes on until the mesh stays.
     """
-    found, _, missing = migrate_without(particles, hierarchy, NONE, servers, evenly=servers is not None)
-    again = settle(found)
-    if again is not None:
-        assert found.sorting is not None
-        found = migrate_without(again, hierarchy, NONE, found.sorting.servers)[0]
-    return found, missing
-
-
-def with_levels(refinement: Refinement, levels: int) -> Refinement:
-    """Return the refinement with another number of levels."""
-    return refinement if levels == refinement.levels else refinement.model_copy(update={"levels": levels})
+    for _ in range(2 * levels):  # not for ever, where a rule goes round in circles
+        hierarchy = refined(quantities)
+        if hierarchy is quantities.hierarchy:
+            break
+        quantities = on(quantities, hierarchy)
+    return quantities

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 
 from .. import _native
@@ -34,19 +37,30 @@ def gather(efield: VectorField, particles: Particles, clouds: Clouds = PLAIN) ->
     ask for a field with `covered="difference"`. What `compensate` has set is added.
     Particles must be sorted on the hierarchy; `migrate` sees to that.
     """
-    hierarchy = efield.hierarchy
-    sorting = particles.sorted_on(hierarchy)
     out = empty_columns(len(particles))
+    _native_gather(_native.gather, efield, particles, clouds, out)
+    return out
+
+
+def gather_into_places(
+    efield: VectorField,
+    particles: Particles,
+    clouds: Clouds,
+    places: np.ndarray,
+    factors: tuple[float, float, float],
+    out: np.ndarray,
+) -> None:
+    """Write what `gather` returns, its components times factors, to rows of `out` (m, 3): that of the n-th particle to
+    places[n]. Collective."""
+    _native_gather(_native.gather_into_places, efield, particles, clouds, places, factors, out)
+
+
+def _native_gather(
+    kernel: Callable[..., None], efield: VectorField, particles: Particles, clouds: Clouds, *to: Any
+) -> None:
+    hierarchy, sorting = efield.hierarchy, particles.sorted_on(efield.hierarchy)
+    mesh = hierarchy.particle_mesh
     try:
-        _native.gather(
-            hierarchy.particle_mesh,
-            sorting.remote,
-            *clouds.native,
-            efield.native,
-            *particles.arrays,
-            sorting.starts,
-            out,
-        )
+        kernel(mesh, sorting.remote, *clouds.native, efield.native, *particles.arrays, sorting.starts, *to)
     except IndexError as moved:
         raise ParticleError(str(moved)) from None
-    return out

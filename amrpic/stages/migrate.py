@@ -48,29 +48,31 @@ def migrate_without(
     servers: np.ndarray | None = None,
     evenly: bool = False,
     meanwhile: Callable[[Particles, _native.Migration], None] = lambda here, migration: None,
+    at_rest: bool = False,
 ) -> tuple[Particles, np.ndarray, int]:
     """Return the same as `migrate` without the particles at some indices, int64 (m,) ascending; of the lost ones the indices,
     and how many of all ranks are lost or left out.
 
-    `evenly`: servers of unequal work are replaced. `meanwhile` is called while messages pass, with this rank's particles, of
-    which those that stay are in their places, and the migration, which says of which others the values are not there yet. It
-    may not communicate; an exception in it on some ranks is raised on all, once the messages are there. Collective.
+    `evenly`: servers of unequal work are replaced. `at_rest`: momenta are zero, and none are moved. `meanwhile` is called while
+    messages pass, with this rank's particles, of which those that stay are in their places, and the migration, which says of
+    which others the values are not there yet. It may not communicate; an exception in it on some ranks is raised on all, once
+    the messages are there. Collective.
     """
     comm = hierarchy.comm
     if servers is None:
         servers = share_out(comm, *weights(particles, hierarchy))
     weight, most = particles.one_weight_and_most(comm)
     _require_few(most)
-    given = particles if weight is not None else particles.with_own_weights()
-    plan = _native.Migration(hierarchy.particle_mesh, servers, *given.arrays, gone, weight is None)
+    given = _passing(particles if weight is not None else particles.with_own_weights(), at_rest)
+    plan = _native.Migration(hierarchy.particle_mesh, servers, *given, gone, weight is None)
     most, uneven = _most_and_uneven(comm, plan)
     if evenly and uneven:
         servers = shared_out_by_work(particles, hierarchy)
-        plan = _native.Migration(hierarchy.particle_mesh, servers, *given.arrays, gone, weight is None)
+        plan = _native.Migration(hierarchy.particle_mesh, servers, *given, gone, weight is None)
         most, _ = _most_and_uneven(comm, plan)
     _require_few(most)
-    here = Particles.allocate(plan.arriving, particles.species, weight)
-    finite = plan.start(*here.arrays)
+    here = Particles.allocate(plan.arriving, particles.species, weight, at_rest)
+    finite = plan.start(*_passing(here, at_rest))
     sorting = Sorting(hierarchy, plan.starts, plan.remote(hierarchy.native), servers)
     here = Particles(*here.arrays, here.species, sorting)
     failure: Exception | None = None
@@ -79,7 +81,7 @@ def migrate_without(
     except Exception as caught:
         failure = caught
     finally:
-        plan.receive(*here.arrays)
+        plan.receive(*_passing(here, at_rest))
     found = np.array([not finite, failure is not None, len(plan.lost) + len(gone)], dtype=np.int64)
     bad, failed, missing = comm.allreduce(found).tolist()
     if bad:
@@ -89,6 +91,12 @@ def migrate_without(
             if failure is not None:
                 raise failure
     return here, plan.lost, missing
+
+
+def _passing(particles: Particles, at_rest: bool) -> tuple[np.ndarray, np.ndarray | None, np.ndarray, np.ndarray]:
+    """Return the arrays that a migration moves."""
+    position, momentum, weight, number = particles.arrays
+    return position, None if at_rest else momentum, weight, number
 
 
 def arranged(parts: list[Particles], hierarchy: Hierarchy, servers: np.ndarray) -> Particles:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -11,6 +11,7 @@ import scipy
 from pydantic import ValidationError
 
 from .. import _native, html
+from ..conductors.metal import MetalOnMesh, image_refusal
 from ..errors import SolverError
 from ..mesh.domain import BOUNDARIES
 from ..mesh.field import Field, Function, Holds, VectorField
@@ -19,6 +20,7 @@ from ..mesh.mirror import SIGNS, Mirror
 from ..mesh.rims import rims_of
 from ..parallel import together
 from ..scene.complaints import mistakes
+from ..scene.electrodes import Electrode
 from ..scene.solver_options import SolverOptions
 
 COVERED = ("mean", "difference")
@@ -42,6 +44,8 @@ class SolveReport:
     contraction: float = 0.0  # the latest known: largest change of φ by a second cycle over that by the first
     right_hand_side: float = 0.0  # its norm when the error was estimated
     solves_since: int = 0  # that estimate
+    charges: Mapping[str, float] = field(default_factory=dict)  # on each electrode by name, C
+    voltages: Mapping[str, float] = field(default_factory=dict)  # of each electrode, V; found of those that float
 
     @property
     def remedy(self) -> str:
@@ -76,6 +80,8 @@ class PoissonSolver:
     With `order=4` the equation holds for means over cells, with an error of h⁴ where ρ is smooth: ρ that holds points is turned
     into means, and φ holds means (`Field.holds`); E comes at points, or as means.
     With `screening` = κ it is −Δφ + κ²φ = ρ/ε₀, between faces none of which is open.
+    With `electrodes` φ is their voltage on their surfaces, which cut the arms between centres of cells: of second order up to
+    them, with Gauss's law exact; they have to lie within one level, some cells away from others, and from open faces.
     With a `mirror` the walls across its axis are open for the equation: a solve gives φ of the charge and of the images that
     move as it does, φ₊, or with `image=True` that of those that move against it, φ₋.
 
@@ -101,6 +107,7 @@ class PoissonSolver:
         options: SolverOptions | None = None,
         background: str | None = None,
         mirror: Mirror | None = None,
+        electrodes: Sequence[Electrode] = (),
         reuse: BaseSetup | None = None,
         **choices: Any,
     ) -> None:
@@ -117,6 +124,12 @@ class PoissonSolver:
         if mirror is not None and (refusal := _mirror_refusal(mirror, hierarchy, chosen)):
             raise SolverError(refusal)
         self.mirror = mirror
+        self.electrodes = tuple(electrodes)
+        if self.electrodes and (refusal := _electrodes_refusal(self.electrodes, hierarchy, chosen, mirror)):
+            raise SolverError(refusal)
+        metal = MetalOnMesh(self.electrodes, hierarchy.domain, chosen.stretch) if self.electrodes else None
+        self._unit_potentials: list[Field] | None = None  # of each electrode at 1 V, when they are first needed
+        self._capacitance: np.ndarray | None = None
         of_bottom = chosen.bottom, chosen.bottom_preconditioner, chosen.stretch, chosen.screening
         across = None if mirror is None else mirror.axis
         self._base = hierarchy.comm, hierarchy.domain, chosen.order, *of_bottom, across
@@ -134,9 +147,13 @@ class PoissonSolver:
             native.mirror_signs = [1 if plane is None else SIGNS[plane.kind] for plane in mirror.planes]
         reusable = reuse.native if reuse is not None else _native.Reusable()
         try:
-            self.native = _native.PoissonSolver(hierarchy.native, native, reusable)
+            of_metal = None if metal is None else metal.native()
+            self.native = _native.PoissonSolver(hierarchy.native, native, reusable, of_metal)
         except _native.SolverError as refused:
             raise SolverError(str(refused)) from None
+        if metal is not None:
+            with together(hierarchy.comm, SolverError):
+                metal.finish()
 
     def solve(
         self,
@@ -147,6 +164,7 @@ class PoissonSolver:
         last: SolveReport | None = None,
         deposited: float = 0.0,
         image: bool = False,
+        time: float = 0.0,
     ) -> tuple[Field, SolveReport]:
         """Return the potential in V and how the solve went. Collective.
 
@@ -156,7 +174,8 @@ class PoissonSolver:
         solve on this hierarchy that found the guess: its estimate of the error that the mesh makes serves nine further
         solves, as long as the right-hand side is of about the same size, and these may take a single cycle. `deposited` is
         the sum of the magnitudes of the charges that ρ was made of, C: rounding of these is no net charge. With `image` it is
-        the potential of the images of ρ in the `mirror` that move against it.
+        the potential of the images of ρ in the `mirror` that move against it. Electrodes are at their voltages of `time`, s;
+        in their cells φ is that voltage, and ρ there counts for nothing.
 
         Check `report.converged`: an unconverged potential is returned as what it is. Raises SolverError for a charge that
         no potential can balance, for a right-hand side that is not finite, for fields of another hierarchy, and for images
@@ -178,12 +197,15 @@ class PoissonSolver:
         phi.holds = self.options.potential_holds
         if phi.holds == "means":
             rho = self._in_means(rho)
+        voltages = np.array([self._voltage(electrode, time, last) for electrode in self.electrodes])
+        if self.electrodes:
+            self.native.set_potentials(voltages.tolist())
         try:
             report = self.native.solve(rho.native, phi.native, guess is None, _known(last), deposited, image)
         except _native.SolverError as refused:
             raise SolverError(str(refused)) from None
         mesh = report.mesh_error
-        return phi, SolveReport(
+        out = SolveReport(
             report.converged,
             report.cycles,
             report.residuals,
@@ -194,6 +216,72 @@ class PoissonSolver:
             mesh.contraction,
             mesh.right_hand_side,
             mesh.solves,
+        )
+        return phi, self._with_electrodes(phi, out, voltages) if self.electrodes else out
+
+    @staticmethod
+    def _voltage(electrode: Electrode, time: float, last: SolveReport | None) -> float:
+        """Return the voltage of an electrode; of one that floats what it was, to begin with."""
+        if not electrode.floats:
+            return electrode.voltage_at(time)
+        return 0.0 if last is None else last.voltages.get(electrode.name, 0.0)
+
+    def capacitance(self) -> np.ndarray:
+        """Return the charges on all electrodes, C, with one of them at 1 V and all else at zero: (n, n), F. Collective.
+
+        Entry [i, j] is the charge on electrode i by the voltage of electrode j, open faces open and walls at 0 V. Raises
+        SolverError, if there are no electrodes.
+        """
+        if not self.electrodes:
+            raise SolverError("a capacitance is asked of a solver without electrodes; give it some")
+        if self._capacitance is None:
+            self._set_walls(None, None)
+            nothing = Field(self.hierarchy)
+            potentials, charges = [], []
+            for unit in np.eye(len(self.electrodes)):
+                phi = Field(self.hierarchy)
+                phi.unit = "V"
+                self.native.set_potentials(unit.tolist())
+                self.native.solve(nothing.native, phi.native, True, _native.MeshError(), 0.0, False)
+                potentials.append(phi)
+                charges.append(self.native.charges(phi.native))
+            self._unit_potentials, self._capacitance = potentials, np.array(charges).T
+        return self._capacitance.copy()
+
+    def unit_potential(self, name: str) -> Field:
+        """Return φ with one electrode at 1 V, and all other electrodes and walls at zero: of all voltages the potential is
+        the sum of theirs, and i = Σ q v·E the current that charge q induces on it (Shockley and Ramo). Collective."""
+        self.capacitance()
+        assert self._unit_potentials is not None
+        names = [electrode.name for electrode in self.electrodes]
+        if name not in names:
+            raise SolverError(f"there is no electrode {name!r}; there are {', '.join(names)}")
+        return self._unit_potentials[names.index(name)].copy()
+
+    def _with_electrodes(self, phi: Field, report: SolveReport, voltages: np.ndarray) -> SolveReport:
+        """Let electrodes float to their charges; return the report with charges and voltages. Collective."""
+        charges = np.array(self.native.charges(phi.native))
+        floating = [n for n, electrode in enumerate(self.electrodes) if electrode.floats]
+        if floating:
+            walls, faces = self._walls, [self.native.wall_data(level).copy() for level in range(self.hierarchy.levels)]
+            capacitance = self.capacitance()
+            wanted = np.array([electrode.charge for electrode in self.electrodes if electrode.floats], float)
+            rise = np.linalg.solve(capacitance[np.ix_(floating, floating)], wanted - charges[floating])
+            assert self._unit_potentials is not None
+            for n, volts in zip(floating, rise, strict=True):
+                for level in range(self.hierarchy.levels):
+                    phi.array(level)[:] += volts * self._unit_potentials[n].array(level)
+            voltages[floating] += rise
+            charges += capacitance[:, floating] @ rise
+            self._walls = walls
+            for level, data in enumerate(faces):
+                self.native.wall_data(level)[...] = data
+            self.native.set_potentials(voltages.tolist())
+        names = [electrode.name for electrode in self.electrodes]
+        return replace(
+            report,
+            charges=dict(zip(names, charges.tolist(), strict=True)),
+            voltages=dict(zip(names, voltages.tolist(), strict=True)),
         )
 
     @property
@@ -306,6 +394,26 @@ class BaseSetup:
 
     base: tuple  # communicator, domain, order, bottom and its preconditioner, stretch, screening, axis of the mirror
     native: _native.Reusable
+
+
+def _electrodes_refusal(
+    electrodes: Sequence[Electrode], hierarchy: Hierarchy, options: SolverOptions, mirror: Mirror | None
+) -> str | None:
+    """Return why a solver has no such electrodes, and what to do; None if it has."""
+    names = [electrode.name for electrode in electrodes]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        return f"two electrodes are named {twice[0]}; give each a name of its own"
+    if options.backend != "matrix-free":
+        return f'backend is "{options.backend}" with electrodes, which the backend "matrix-free" alone knows; take that one'
+    if options.order != 2:
+        return f"order is {options.order} with electrodes, beside whose surfaces the equations are of order 2; set order to 2"
+    if mirror is not None:
+        return "electrodes are given beside a mirror, which knows walls alone; leave one of the two out"
+    domain = hierarchy.domain
+    free = all(face in ("periodic", "neumann") for faces in domain.boundary for face in faces)
+    if free and all(electrode.floats for electrode in electrodes):
+        return "all electrodes float between periodic and Neumann faces, so nothing fixes φ; give one of them a voltage"
+    return image_refusal(electrodes, domain)
 
 
 def _mirror_refusal(mirror: Mirror, hierarchy: Hierarchy, options: SolverOptions) -> str | None:

@@ -69,9 +69,24 @@ void Pool::give(void* memory) noexcept {
   idle_total_ += known->second;
   used_total_ -= known->second;
   sizes_.erase(known);
-  while (double(idle_total_) > most_idle_ * double(used_total_)) free_oldest();
+  free_what_is_too_much();
 }
 #endif
+
+void Pool::reserve(std::size_t bytes) {
+  std::lock_guard const lock(mutex_);
+  reserved_ += bytes;
+}
+
+void Pool::end_reserve(std::size_t bytes) noexcept {
+  std::lock_guard const lock(mutex_);
+  reserved_ -= bytes;
+  free_what_is_too_much();
+}
+
+void Pool::free_what_is_too_much() noexcept {
+  while (!idle_.empty() && double(idle_total_) > most_idle_ * double(used_total_) + double(reserved_)) free_oldest();
+}
 
 void Pool::free_oldest() {
   std::free(idle_.front().memory);

@@ -11,8 +11,8 @@ namespace amrpic {
 
 class Pool {
  public:
-  /// At most `most_idle` times the memory in use lies idle, and never so much that with what is in use it would be more
-  /// than was once in use at a time.
+  /// At most `most_idle` times the memory in use lies idle, beside what is reserved, and never so much that with what
+  /// is in use it would be more than was once in use at a time.
   explicit Pool(double most_idle) : most_idle_(most_idle) {}
 
   /// A block of at least so many bytes, starting on a page, with whatever it holds. Throws std::bad_alloc.
@@ -23,18 +23,22 @@ class Pool {
 
   std::size_t idle();  ///< bytes that are kept to be taken again
 
+  void reserve(std::size_t bytes);  ///< let so many more lie idle
+  void end_reserve(std::size_t bytes) noexcept;
+
  private:
   struct IdleMemory {
     std::size_t bytes;
     void* memory;
   };
   void free_oldest();
+  void free_what_is_too_much() noexcept;
 
   double most_idle_;
   std::mutex mutex_;
   std::vector<IdleMemory> idle_;                  ///< in the order they were given back
   std::unordered_map<void*, std::size_t> sizes_;  ///< of those in use
-  std::size_t idle_total_ = 0, used_total_ = 0, most_used_ = 0;
+  std::size_t idle_total_ = 0, used_total_ = 0, most_used_ = 0, reserved_ = 0;
 };
 
 /// That of arrays over the cells of a mesh.

@@ -18,6 +18,7 @@
 #include "particle/array_pool.hpp"
 #include "particle/beam_amplitudes.hpp"
 #include "particle/beam_moments.hpp"
+#include "particle/callers_columns.hpp"
 #include "particle/count_per_brick.hpp"
 #include "particle/deposit.hpp"
 #include "particle/gather.hpp"
@@ -44,12 +45,17 @@ std::array<Real*, 3> columns(Array const& array) {
   return {first, first + array.stride(1), first + 2 * array.stride(1)};
 }
 
+template <class Array>
+std::array<Real*, 3> columns(std::optional<Array> const& array) {
+  return array ? columns(*array) : std::array<Real*, 3>{};
+}
+
 /// One value each, or one for all, which are 0 numbers apart.
 using OnePerParticle = nb::ndarray<Real const, nb::ndim<1>, nb::device::cpu>;
 
 /// Particles as Python holds them. The kernels that take a view of them do not write where they should not.
-template <class Vectors, class Ids>
-ParticleView view(Vectors const& position, Vectors const& momentum, OnePerParticle const& weight, Ids const& id) {
+template <class Vectors, class Momenta, class Ids>
+ParticleView view(Vectors const& position, Momenta const& momentum, OnePerParticle const& weight, Ids const& id) {
   return {std::int64_t(position.shape(0)),  columns(position),     columns(momentum),
           const_cast<Real*>(weight.data()), weight.stride(0) == 0, const_cast<std::int64_t*>(id.data())};
 }
@@ -60,7 +66,8 @@ Clouds clouds_of(Shape shape, bool matched, bool by_kokkos) {
 
 /// Particles as Python gives them to what keeps them for a while.
 struct GivenParticles {
-  ConstColumns position, momentum;
+  ConstColumns position;
+  std::optional<ConstColumns> momentum;
   OnePerParticle weight;
   Row<std::int64_t const> id;
 
@@ -117,6 +124,9 @@ void bind_particle(nb::module_& m) {
       },
       "bytes"_a, "Memory whose former owner is gone, if there is such; with whatever it holds.");
   m.def("idle_bytes", &idle_bytes, "Memory that waits for `recycled` to be called again.");
+
+  nb::class_<ReservedMemory>(m, "ReservedMemory", "So many more bytes wait for `recycled` as long as this lives.")
+      .def(nb::init<std::size_t>(), "bytes"_a);
 
   nb::class_<ParticleMesh>(m, "ParticleMesh")
       .def(nb::init<std::shared_ptr<Hierarchy const>>(), "hierarchy"_a, nb::call_guard<nb::gil_scoped_release>())
@@ -177,8 +187,8 @@ void bind_particle(nb::module_& m) {
       .def(
           "__init__",
           [](BoundMigration* self, ParticleMesh& mesh, Row<std::int64_t const> servers, ConstColumns position,
-             ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id, Row<std::int64_t const> gone,
-             bool has_weights) {
+             std::optional<ConstColumns> momentum, OnePerParticle weight, Row<std::int64_t const> id,
+             Row<std::int64_t const> gone, bool has_weights) {
             nb::gil_scoped_release release;
             ParticleList const without{gone.data(), gone.data() + gone.shape(0)};
             std::vector<std::int64_t> first(servers.data(), servers.data() + servers.shape(0));
@@ -186,7 +196,7 @@ void bind_particle(nb::module_& m) {
             new (self) BoundMigration(mesh, Servers(hierarchy.domain(), std::move(first), hierarchy.comm().rank()),
                                       {position, momentum, weight, id}, without, has_weights);
           },
-          "mesh"_a, "servers"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "gone"_a, "has_weights"_a,
+          "mesh"_a, "servers"_a, "position"_a, "momentum"_a.none(), "weight"_a, "id"_a, "gone"_a, "has_weights"_a,
           nb::keep_alive<1, 2>())
       .def_prop_ro(
           "lost", [](BoundMigration const& self) { return bind::to_array(self.lost()); }, nb::rv_policy::automatic)
@@ -195,7 +205,8 @@ void bind_particle(nb::module_& m) {
       .def_prop_ro("bricks", &Migration::bricks)
       .def(
           "start",
-          [](BoundMigration& self, Columns position, Columns momentum, OnePerParticle weight, Row<std::int64_t> id) {
+          [](BoundMigration& self, Columns position, std::optional<Columns> momentum, OnePerParticle weight,
+             Row<std::int64_t> id) {
             bool finite;
             {
               nb::gil_scoped_release release;
@@ -204,14 +215,15 @@ void bind_particle(nb::module_& m) {
             self.arrays.reset();
             return finite;
           },
-          "position"_a, "momentum"_a, "weight"_a, "id"_a)
+          "position"_a, "momentum"_a.none(), "weight"_a, "id"_a)
       .def(
           "receive",
-          [](BoundMigration& self, Columns position, Columns momentum, OnePerParticle weight, Row<std::int64_t> id) {
+          [](BoundMigration& self, Columns position, std::optional<Columns> momentum, OnePerParticle weight,
+             Row<std::int64_t> id) {
             nb::gil_scoped_release release;
             self.receive(view(position, momentum, weight, id));
           },
-          "position"_a, "momentum"_a, "weight"_a, "id"_a)
+          "position"_a, "momentum"_a.none(), "weight"_a, "id"_a)
       .def(
           "carry",
           [](BoundMigration const& self, nb::ndarray<Real const, nb::ndim<2>, nb::c_contig, nb::device::cpu> from,
@@ -344,6 +356,43 @@ void bind_particle(nb::module_& m) {
       "mesh"_a, "remote"_a, "shape"_a, "matched"_a, "kokkos"_a, "field"_a, "position"_a, "momentum"_a, "weight"_a,
       "id"_a, "starts"_a, "out"_a);
 
+  m.def(
+      "take_column",
+      [](nb::ndarray<Real const, nb::ndim<1>, nb::device::cpu> from, std::optional<Row<std::int64_t const>> places,
+         Real shift, Real scale, std::optional<Row<Real>> out) {
+        std::size_t const count = places ? places->shape(0) : from.shape(0);
+        if (out && out->shape(0) != count) throw std::invalid_argument("as many places as values are asked for");
+        ColumnSums of;
+        {
+          nb::gil_scoped_release release;
+          of = take_column({from.data(), from.stride(0)}, places ? places->data() : nullptr, std::int64_t(count), shift,
+                           scale, out ? out->data() : nullptr);
+        }
+        return nb::make_tuple(of.sum, of.magnitude, of.least, of.greatest);
+      },
+      "column"_a, "places"_a.none(), "shift"_a, "scale"_a, "out"_a.none(),
+      "Values at places, or all, less `shift` times `scale` into `out`; Σ v, Σ |v|, the least and the greatest v.");
+  m.def(
+      "put_into_places",
+      [](ConstColumns values, Row<std::int64_t const> places, Real3 factors, Columns out) {
+        nb::gil_scoped_release release;
+        put_into_places(columns(values), {places.data(), std::int64_t(places.shape(0)), factors}, columns(out));
+      },
+      "values"_a, "places"_a, "factors"_a, "out"_a, "Each vector times three factors to places[n].");
+
+  m.def(
+      "gather_into_places",
+      [](ParticleMesh& mesh, RemoteBricks const& remote, Shape shape, bool matched, bool kokkos,
+         ElectricField const& field, ConstColumns position, ConstColumns momentum, OnePerParticle weight,
+         Row<std::int64_t const> id, Row<std::int64_t const> starts, Row<std::int64_t const> places, Real3 factors,
+         Columns out) {
+        nb::gil_scoped_release release;
+        gather_into_places(mesh, remote, clouds_of(shape, matched, kokkos), field, view(position, momentum, weight, id),
+                           starts.data(), {places.data(), std::int64_t(places.shape(0)), factors}, columns(out));
+      },
+      "mesh"_a, "remote"_a, "shape"_a, "matched"_a, "kokkos"_a, "field"_a, "position"_a, "momentum"_a, "weight"_a,
+      "id"_a, "starts"_a, "places"_a, "factors"_a, "out"_a, "What `gather` finds, times three factors, to places[n].");
+
   nb::enum_<Pusher>(m, "Pusher").value("boris", Pusher::boris).value("higuera_cary", Pusher::higuera_cary);
 
   m.def(
@@ -355,7 +404,6 @@ void bind_particle(nb::module_& m) {
          std::optional<ConstColumns> magnetic, Columns momentum_out, Columns position_out,
          std::optional<Columns> between, ExternalFields const* external, Real time, Real3 shift) {
         nb::gil_scoped_release release;
-        auto const if_given = [](auto const& array) { return array ? columns(*array) : std::array<Real*, 3>{}; };
         Motion const motion{charge.data(),
                             inverse_mass.data(),
                             charge.stride(0) == 0,
@@ -364,12 +412,12 @@ void bind_particle(nb::module_& m) {
                             flight,
                             pusher,
                             beta,
-                            {if_given(electric), if_given(magnetic)},
+                            {columns(electric), columns(magnetic)},
                             external,
                             time,
                             shift};
         push(mesh, remote, clouds_of(shape, matched, kokkos), field, view(position, momentum, weight, id),
-             starts.data(), motion, {columns(momentum_out), columns(position_out), if_given(between)});
+             starts.data(), motion, {columns(momentum_out), columns(position_out), columns(between)});
       },
       "mesh"_a, "remote"_a, "shape"_a, "matched"_a, "kokkos"_a, "field"_a, "position"_a, "momentum"_a, "weight"_a,
       "id"_a, "starts"_a, "charge"_a, "inverse_mass"_a, "before"_a, "after"_a, "flight"_a, "pusher"_a, "beta"_a,

@@ -1,7 +1,9 @@
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/map.h>
 #include <nanobind/stl/shared_ptr.h>
+#include <nanobind/ndarray.h>
 #include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
 #include "base/constants.hpp"
@@ -116,15 +118,48 @@ void bind_solver(nb::module_& m) {
       .def_ro("seconds", &SolveReport::seconds);
 
   nb::class_<Reusable>(m, "Reusable").def(nb::init<>());
+  using Cells = nb::ndarray<std::int64_t const, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+  using Owners = nb::ndarray<std::int32_t const, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+  using Arms = nb::ndarray<Real const, nb::shape<-1, 6>, nb::c_contig, nb::device::cpu>;
+  using Surfaces = nb::ndarray<std::int32_t const, nb::shape<-1, 6>, nb::c_contig, nb::device::cpu>;
+  nb::class_<Metal>(m, "Metal").def(
+      "__init__",
+      [](Metal* self, int electrodes, nb::callable ask) {
+        // ask(lower, shape, spacing): solid cells and their electrodes, cut cells, their arms and electrodes
+        new (self) Metal(electrodes, [ask](Box const& region, Real3 const& spacing) {
+          nb::gil_scoped_acquire held;
+          std::array<int, 3> const lower{region.lower[0], region.lower[1], region.lower[2]};
+          std::array<int, 3> const shape{region.extent(0), region.extent(1), region.extent(2)};
+          auto const [solid, owner, cut, arm, electrode] = nb::cast<std::tuple<Cells, Owners, Cells, Arms, Surfaces>>(
+              ask(lower, shape, std::array<Real, 3>{spacing[0], spacing[1], spacing[2]}));
+          auto const cell = [&](std::int64_t at) {
+            return Index3{lower[0] + int(at % shape[0]), lower[1] + int(at / shape[0] % shape[1]),
+                          lower[2] + int(at / shape[0] / shape[1])};
+          };
+          std::vector<SolidCell> solids;
+          for (std::size_t n = 0; n < solid.shape(0); ++n) solids.push_back({cell(solid(n)), owner(n)});
+          std::vector<CutCell> cuts;
+          for (std::size_t n = 0; n < cut.shape(0); ++n) {
+            CutCell& to = cuts.emplace_back();
+            to.cell = cell(cut(n));
+            for (std::size_t side = 0; side < 6; ++side)
+              to.arm[side] = arm(n, side), to.electrode[side] = electrode(n, side);
+          }
+          return MetalCells(std::move(cuts), std::move(solids));
+        });
+      },
+      "electrodes"_a, "ask"_a);
   nb::class_<PoissonSolver>(m, "PoissonSolver")
       .def(
           "__init__",
           [](PoissonSolver* self, std::shared_ptr<Hierarchy const> hierarchy, SolverOptions const& options,
-             Reusable const& reusable) {
+             Reusable const& reusable, std::shared_ptr<Metal const> metal) {
             nb::gil_scoped_release release;
-            new (self) PoissonSolver(std::move(hierarchy), options, reusable);
+            new (self) PoissonSolver(std::move(hierarchy), options, reusable, std::move(metal));
           },
-          "hierarchy"_a, "options"_a, "reusable"_a)
+          "hierarchy"_a, "options"_a, "reusable"_a, "metal"_a.none() = nullptr)
+      .def("set_potentials", &PoissonSolver::set_potentials, "potentials"_a)
+      .def("charges", &PoissonSolver::charges, "phi"_a, nb::call_guard<nb::gil_scoped_release>())
       .def("solve", &PoissonSolver::solve, "rho"_a, "phi"_a, "from_zero"_a, "known"_a, "deposited"_a,
            "images"_a = false, nb::call_guard<nb::gil_scoped_release>())
       .def("electric_field", &PoissonSolver::electric_field, "potential"_a, "covered"_a,

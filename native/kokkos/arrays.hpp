@@ -118,6 +118,10 @@ struct Worker {
       Kokkos::parallel_for(Kokkos::TeamVectorRange(*team, n), f);
     }
   }
+  /// What was written before is there for all that work on the row.
+  KOKKOS_INLINE_FUNCTION void barrier() const {
+    if constexpr (!on_host) team->team_barrier();
+  }
 };
 
 namespace rows {

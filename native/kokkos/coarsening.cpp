@@ -110,7 +110,7 @@ void Coarsening::prolong_rows(bool set) {
         RowPlace const& of = own(n);
         matrixfree::Row const& row = level.rows[n];
         worker.with_kind(row.lanes, true, [&](auto lanes, auto) {
-          matrixfree::prolong<lanes()>(on.sources(of.block), of.j, of.k, row, values.data(), set, r.data(), e.data(),
+          matrixfree::prolong<lanes()>(on.sources(of.block), of.j, of.k, level, row, values.data(), set, r.data(), e.data(),
                                        worker);
         });
       });

@@ -28,6 +28,10 @@ SweptLevel::SweptLevel(Communicator const& comm, matrixfree::SweptLevel& plan)
   static_cast<matrixfree::RowTable&>(tables_) = stencil.table();
   tables_.rows = rows_.data(), tables_.runs = runs_.data(), tables_.coefficients = coefficients_.data();
   tables_.first_run = nullptr;  // rows are composed run by run
+  metal_rows_ = on_device(stencil.metal_rows()), cuts_ = on_device(stencil.cuts()), solids_ = on_device(stencil.solids());
+  cut_values_ = Array<float>("values of cut cells", cuts_.extent(0));
+  tables_.metal_rows = metal_rows_.data(), tables_.cuts = cuts_.data(), tables_.solids = solids_.data();
+  tables_.cut_values = cut_values_.data();
   composed_ = Array<float>("composed rows", std::size_t(first_composed.back()) * std::size_t(tables_.composed_pitch));
   tables_.composed = composed_.data();
   if (plan.is_thin()) {
@@ -113,8 +117,9 @@ void SweptLevel::exchange_corrections(bool boundary_changed) {
 
 std::size_t SweptLevel::bytes() const {
   return rows_.extent(0) * sizeof(matrixfree::Row) + own_rows_.extent(0) * sizeof(RowPlace) +
-         runs_.extent(0) * sizeof(matrixfree::ScaledRun) +
-         (composed_.extent(0) + coefficients_.extent(0)) * sizeof(float) + halo_.bytes() + edge_halo_.bytes() +
+         runs_.extent(0) * sizeof(matrixfree::ScaledRun) + metal_rows_.extent(0) * sizeof(matrixfree::MetalRow) +
+         cuts_.extent(0) * sizeof(matrixfree::CutPlace) + solids_.extent(0) * sizeof(matrixfree::SolidRun) +
+         (cut_values_.extent(0) + composed_.extent(0) + coefficients_.extent(0)) * sizeof(float) + halo_.bytes() + edge_halo_.bytes() +
          halo_of_colour_[0].bytes() + halo_of_colour_[1].bytes();
 }
 

@@ -62,7 +62,10 @@ class SweptLevel {
   matrixfree::SweptLevel& plan_;
   Array<matrixfree::Row> rows_;
   Array<matrixfree::ScaledRun> runs_;
-  Array<float> composed_, coefficients_;
+  Array<matrixfree::MetalRow> metal_rows_;
+  Array<matrixfree::CutPlace> cuts_;
+  Array<matrixfree::SolidRun> solids_;
+  Array<float> composed_, coefficients_, cut_values_;
   LevelTables tables_;
   Array<RowPlace> own_rows_;
   struct Together {

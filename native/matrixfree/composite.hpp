@@ -23,10 +23,11 @@ namespace amrpic {
 class CompositeLaplacian {
  public:
   /// `shift`: of the Equation. `hierarchy` is in coordinates stretched by `stretch` already; norms and fields are those
-  /// of the unstretched space. `order`: 2, of values at the cells' centres, or 4, of their means. Collective.
+  /// of the unstretched space. `order`: 2, of values at the cells' centres, or 4, of their means. `metal`: in
+  /// second order; null if there is none. Collective.
   explicit CompositeLaplacian(std::shared_ptr<Hierarchy const> hierarchy, Real shift = 0,
-                              Real3 const& stretch = {1, 1, 1}, int order = 2)
-      : mesh_(std::move(hierarchy), shift, stretch) {
+                              Real3 const& stretch = {1, 1, 1}, int order = 2, Metal const* metal = nullptr)
+      : mesh_(std::move(hierarchy), shift, stretch, metal) {
     if (order == 4) {
       means_ = std::make_unique<OnMeans>(mesh_, average_);
       residual_ = std::make_unique<FourthOrderResidual>(mesh_, means_->ghosts);
@@ -72,6 +73,24 @@ class CompositeLaplacian {
     return residual_->integrate_right_hand_side(source);
   }
 
+  /// Set phi to the potential of electrodes in their cells, coarse ones to the mean of their children. Collective.
+  void fill_metal(std::vector<Real> const& potentials, Field& phi) {
+    if (!mesh_.metal()) return;
+    for (int l = 0; l < mesh_.levels(); ++l) {
+      Level const& level = mesh_.level(l);
+      for (SolidCell const& solid : mesh_.metal(l).solid())
+        if (int const b = level.find(solid.cell); b >= 0 && level.owner(b) == level.rank())
+          phi.level(l)[std::size_t(level.local_offset(b) + level.box(b).offset(solid.cell))] =
+              potentials[std::size_t(solid.electrode)];
+    }
+    average_down(phi);
+  }
+  /// See CompositeResidual. Collective.
+  void for_each_charge(Field const& phi, std::vector<Walls> const& walls, std::vector<Real> const& potentials,
+                       CompositeResidual::OfCharge const& f) {
+    residual_->for_each_charge(phi, walls, potentials, f);
+  }
+
   /// Norm of the largest single term of the Laplacian, the diagonal one: what rounding is relative to. Collective.
   Real diagonal_norm(Field const& phi, Norm norm) { return residual_->diagonal_norm(phi, norm); }
 
@@ -92,7 +111,8 @@ class CompositeLaplacian {
   /// E = -grad phi (V/m; over the stretch along each axis once more), from the fluxes through the faces. `potential`
   /// must be averaged down, and stay as it is. Collective.
   ElectricField electric_field(std::shared_ptr<Field const> potential, std::vector<Walls> const& walls,
-                               CoveredField covered) {
+                               CoveredField covered, std::vector<Real> const& potentials = {}) {
+    if (mesh_.metal()) return points_->field.beside_metal(*potential, walls, potentials, covered, average_);
     if (means_) return means_->field.electric_field(*potential, walls, covered, Holds::points);
     return points_->field.electric_field(std::move(potential), walls, covered);
   }

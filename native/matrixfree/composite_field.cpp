@@ -152,4 +152,37 @@ ElectricField CompositeField::electric_field(std::shared_ptr<Field const> potent
   return out;
 }
 
+ElectricField CompositeField::beside_metal(Field const& phi, std::vector<Walls> const& walls,
+                                           std::vector<Real> const& potentials, CoveredField covered,
+                                           CompositeAverage& average) {
+  std::array<std::shared_ptr<Field>, 3> e;
+  for (auto& component : e) component = std::make_shared<Field>(phi.share_hierarchy(), false);
+  ghosts_.visit(phi, walls, FullyCovered::visit, [&](int l, int b) {
+    std::ptrdiff_t const plane = mesh_.box(l, b).stride(2);
+    for (int k = 0; k < mesh_.box(l, b).extent(2); ++k) {
+      std::array<Real*, 3> at;
+      for (std::size_t d = 0; d < 3; ++d) at[d] = e[d]->level(l).data() + mesh_.offset(l, b) + k * plane;
+      field_plane(l, b, k, Where::everywhere, phi, at);
+      mesh_.for_each_in_metal(
+          l, b, k,
+          [&](CutCell const& cut, CutRow const& row, std::ptrdiff_t place) {
+            for (std::size_t d = 0; d < 3; ++d) {
+              if (row.surface[2 * d] == 0 && row.surface[2 * d + 1] == 0) continue;
+              auto const line = ghosts_.line_through(l, b, cut, row, int(d), phi, walls, potentials);
+              at[d][place] = -2 * mesh_.factor_of_field(l, int(d)) * line.slope();
+            }
+          },
+          [&](std::ptrdiff_t place, int) {
+            for (Real* component : at) component[place] = 0;
+          });
+    }
+  });
+  std::array<std::shared_ptr<Field const>, 3> out;
+  for (std::size_t d = 0; d < 3; ++d) {
+    if (covered == CoveredField::mean) average.average_down(*e[d]);
+    out[d] = e[d];
+  }
+  return ElectricField(out);
+}
+
 }  // namespace amrpic

@@ -1,5 +1,6 @@
 #pragma once
 
+#include "matrixfree/composite_average.hpp"
 #include "matrixfree/composite_ghosts.hpp"
 #include "mesh/electric_field.hpp"
 
@@ -13,6 +14,10 @@ class CompositeField {
 
   ElectricField electric_field(std::shared_ptr<Field const> potential, std::vector<Walls> const& walls,
                                CoveredField covered);
+  /// The same beside metal: components in all cells. Those of a cut cell are slopes of the parabolas through the
+  /// surfaces at its arms; in metal there is none. Collective.
+  ElectricField beside_metal(Field const& phi, std::vector<Walls> const& walls, std::vector<Real> const& potentials,
+                             CoveredField covered, CompositeAverage& average);
 
   std::size_t bytes() const { return (planes_.capacity() + rows_.capacity()) * sizeof(Real); }
 

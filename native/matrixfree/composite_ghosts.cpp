@@ -152,4 +152,39 @@ std::size_t CompositeGhosts::bytes() const {
   return values * sizeof(Real) + fluxes_.bytes() + coarse_window_.bytes() + window_.bytes();
 }
 
+/// The value of phi beyond a side of a cell of the box under way.
+Real CompositeGhosts::value_beyond(int l, int b, Index3 const& cell, int side, Real const* cells) const {
+  Box const& own = mesh_.box(l, b);
+  int const axis = side / 2, outward = side % 2 == 0 ? -1 : 1;
+  Index3 at = cell;
+  at[axis] += outward;
+  if (own.contains(at)) return cells[own.offset(at)];
+  auto const [u, v] = tangential_axes(axis);
+  return ghosts(axis, side % 2)[(at[u] - own.lower[u]) + std::ptrdiff_t(own.extent(u)) * (at[v] - own.lower[v])];
+}
+
+/// The datum of the wall beyond a side of a cell, which lies at one.
+Real CompositeGhosts::wall_datum(int l, int b, Index3 const& cell, int side,
+                                     std::vector<Walls> const& walls) const {
+  Box const& own = mesh_.box(l, b);
+  auto const [u, v] = tangential_axes(side / 2);
+  std::ptrdiff_t const place = (cell[u] - own.lower[u]) + std::ptrdiff_t(own.extent(u)) * (cell[v] - own.lower[v]);
+  return walls[std::size_t(l)].datum[std::size_t(mesh_.plan(l, b).faces[side].wall + place)];
+}
+
+ArmValues CompositeGhosts::line_through(int l, int b, CutCell const& cut, CutRow const& row, int axis, Field const& phi,
+                                        std::vector<Walls> const& walls, std::vector<Real> const& potentials) const {
+  Real const* const cells = phi.level(l).data() + mesh_.offset(l, b);
+  std::array<Real, 2> arm{1, 1}, value;
+  for (int s = 0; s < 2; ++s) {
+    int const side = 2 * axis + s;
+    bool const is_surface = row.surface[std::size_t(side)] != 0, is_cut = is_surface && cut.is_cut(std::size_t(side));
+    if (is_surface) arm[std::size_t(s)] = is_cut ? cut.arm[std::size_t(side)] : wall_arm;
+    value[std::size_t(s)] = is_cut       ? potentials[std::size_t(cut.electrode[std::size_t(side)])]
+                            : is_surface ? wall_datum(l, b, cut.cell, side, walls)
+                                         : value_beyond(l, b, cut.cell, side, cells);
+  }
+  return {{arm[0], arm[1]}, value[0], value[1], cells[mesh_.box(l, b).offset(cut.cell)]};
+}
+
 }  // namespace amrpic

@@ -49,6 +49,13 @@ class CompositeGhosts {
     });
   }
 
+  // Of a cell of the box under way: what lies beyond a side; the datum of the wall there; and the values along an axis
+  // through a cut cell.
+  Real value_beyond(int l, int b, Index3 const& cell, int side, Real const* cells) const;
+  Real wall_datum(int l, int b, Index3 const& cell, int side, std::vector<Walls> const& walls) const;
+  ArmValues line_through(int l, int b, CutCell const& cut, CutRow const& row, int axis, Field const& phi,
+                         std::vector<Walls> const& walls, std::vector<Real> const& potentials) const;
+
   std::size_t bytes() const;
 
  private:

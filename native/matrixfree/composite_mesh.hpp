@@ -9,6 +9,7 @@
 #include "base/fetch.hpp"
 #include "matrixfree/composite_plan.hpp"
 #include "mesh/field.hpp"
+#include "mesh/metal.hpp"
 #include "mesh/transfer.hpp"
 #include "operators/nearly_free.hpp"
 #include "stencil/background.hpp"
@@ -35,7 +36,7 @@ enum class FullyCovered { visit, skip };  ///< boxes without uncovered cells
 class CompositeMesh {
  public:
   /// See CompositeLaplacian. Collective.
-  CompositeMesh(std::shared_ptr<Hierarchy const> hierarchy, Real shift, Real3 const& stretch);
+  CompositeMesh(std::shared_ptr<Hierarchy const> hierarchy, Real shift, Real3 const& stretch, Metal const* metal = nullptr);
 
   Hierarchy const& hierarchy() const { return *hierarchy_; }
   Communicator const& comm() const { return hierarchy_->comm(); }
@@ -51,8 +52,26 @@ class CompositeMesh {
   Box const& box(int l, int b) const { return level(l).box(level(l).first_local_box() + b); }
   LocalIndex offset(int l, int b) const { return level(l).local_offset(level(l).first_local_box() + b); }
 
+  Metal const* metal() const { return metal_; }  ///< null if there is none anywhere
+  MetalCells const& metal(int l) const { return metal_cells_[std::size_t(l)]; }  ///< of this rank
+  /// Call f(cut cell, its equation, place in the plane) for the cut cells in plane k of a box, and solid(place,
+  /// electrode) for those in metal.
+  template <class F, class Solid>
+  void for_each_in_metal(int l, int b, int k, F&& f, Solid&& solid) const {
+    MetalCells const& cells = metal(l);
+    if (cells.empty()) return;
+    Box const& own = box(l, b);
+    for (int j = 0; j < own.extent(1); ++j) {
+      Index3 const first{own.lower[0], own.lower[1] + j, own.lower[2] + k};
+      auto const place = [&](Index3 const& cell) { return cell[0] - first[0] + std::ptrdiff_t(j) * own.extent(0); };
+      cells.for_each_cut(first, own.extent(0), [&](CutCell const& cut) {
+        f(cut, cut_rows_[std::size_t(l)][std::size_t(&cut - cells.cut().data())], place(cut.cell));
+      });
+      cells.for_each_solid(first, own.extent(0), [&](SolidCell const& s) { solid(place(s.cell), s.electrode); });
+    }
+  }
   Equation equation(int l) const { return equation_on(level(l).spacing(), shift_); }
-  bool is_nearly_free(int l) const { return amrpic::is_nearly_free(level(l), hierarchy_->domain().boundary, shift_); }
+  bool is_nearly_free(int l) const { return !metal_ && amrpic::is_nearly_free(level(l), hierarchy_->domain().boundary, shift_); }
   Real shift() const { return shift_; }
   Real volume(int l) const { return level(l).cell_volume() / (stretch_[0] * stretch_[1] * stretch_[2]); }
   Real factor_of_field(int l, int axis) const { return field_factor(level(l).spacing()[axis]) / stretch_[axis]; }
@@ -99,6 +118,7 @@ class CompositeMesh {
     }
   }
   void clear_covered(int l, int b, int k, Real* plane) const;
+  bool is_covered(int l, int b, Index3 const& cell) const;  ///< of a cell of the box
 
   /// The cells of level l that others read, x fastest.
   void pack_cells(Field const& field, int l, Read const& read, Real* out) const;
@@ -129,6 +149,7 @@ class CompositeMesh {
   }
 
  private:
+  void add_metal(int l);
   /// Not inlined, so that the loop's pointers and factor stay in registers.
   template <class T>
   [[gnu::noinline]] static void write_rows(Real const* __restrict from, int nx, int rows, Real scale, T* __restrict to,
@@ -145,6 +166,9 @@ class CompositeMesh {
   Real3 stretch_;
   CompositePlan plan_;
   Transfer transfer_;
+  Metal const* metal_;
+  std::vector<MetalCells> metal_cells_;        ///< of each level
+  std::vector<std::vector<CutRow>> cut_rows_;  ///< of its cut cells
   std::size_t largest_row_ = 0;
   std::array<std::size_t, 3> largest_face_{0, 0, 0};
 };

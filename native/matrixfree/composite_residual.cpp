@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "base/constants.hpp"
 #include "matrixfree/composite_kernels.hpp"
 #include "stencil/boundary.hpp"
 #include "stencil/laplacian.hpp"
@@ -65,13 +66,55 @@ void SecondOrderResidual::residual_plane(int l, int b, int k, Source const& sour
   ghosts_.for_each_refined(l, b, k, cells, [&](std::ptrdiff_t at, int axis, int, Real excess) {
     plane_[std::size_t(at - k * plane)] -= formula.equation.weight[axis] * excess;
   });
+  mesh_.for_each_in_metal(
+      l, b, k,
+      [&](CutCell const& cut, CutRow const& row, std::ptrdiff_t at) {
+        Real sum = -row.diagonal * c[at];
+        for (std::size_t side = 0; side < 6; ++side)
+          if (row.neighbour[side] != 0) sum += row.neighbour[side] * ghosts_.value_beyond(l, b, cut.cell, int(side), cells);
+        plane_[std::size_t(at)] = row.scale * source.background.right_hand_side(rho[at]) - sum -
+                                  of_surfaces(l, b, cut, row, source);
+      },
+      [&](std::ptrdiff_t at, int) { plane_[std::size_t(at)] = 0; });
   mesh_.clear_covered(l, b, k, plane_.data());
+}
+
+/// What the potentials of the surfaces beside a cut cell add to its Laplacian.
+Real SecondOrderResidual::of_surfaces(int l, int b, CutCell const& cut, CutRow const& row, Source const& source) const {
+  Real out = 0;
+  for (std::size_t side = 0; side < 6; ++side)
+    if (row.surface[side] != 0)
+      out += row.surface[side] * (cut.is_cut(side) ? source.potentials[std::size_t(cut.electrode[side])]
+                                                   : ghosts_.wall_datum(l, b, cut.cell, int(side), source.walls));
+  return out;
+}
+
+/// The same, and what walls add whose ghosts take part in it.
+Real SecondOrderResidual::of_data(int l, int b, CutCell const& cut, CutRow const& row, Source const& source) const {
+  Real out = of_surfaces(l, b, cut, row, source);
+  Box const& own = mesh_.box(l, b);
+  for (std::size_t side = 0; side < 6; ++side) {
+    int const axis = int(side) / 2;
+    bool const ends = cut.cell[axis] == (side % 2 == 0 ? own.lower : own.upper)[axis];
+    if (!ends || mesh_.plan(l, b).faces[side].wall < 0 || row.neighbour[side] == 0) continue;
+    Boundary const kind = mesh_.hierarchy().domain().boundary[axis][side % 2];
+    out += row.neighbour[side] * wall_ghost(kind, mesh_.level(l).spacing()[axis]).datum *
+           ghosts_.wall_datum(l, b, cut.cell, int(side), source.walls);
+  }
+  return out;
 }
 
 /// f less what wall data add to the Laplacian, of a plane of cells; zero in covered ones.
 void SecondOrderResidual::right_hand_side_plane(int l, int b, int k, Source const& source) {
   source_plane(l, b, k, source);
   for_each_wall_term(l, b, k, source, [&](std::ptrdiff_t at, Real term) { plane_[std::size_t(at)] -= term; });
+  Real const* const rho = source.rho.level(l).data() + mesh_.offset(l, b) + k * mesh_.box(l, b).stride(2);
+  mesh_.for_each_in_metal(
+      l, b, k,
+      [&](CutCell const& cut, CutRow const& row, std::ptrdiff_t at) {
+        plane_[std::size_t(at)] = row.scale * source.background.right_hand_side(rho[at]) - of_data(l, b, cut, row, source);
+      },
+      [&](std::ptrdiff_t at, int) { plane_[std::size_t(at)] = 0; });
   mesh_.clear_covered(l, b, k, plane_.data());
 }
 
@@ -95,6 +138,30 @@ void SecondOrderResidual::term_sizes_plane(int l, int b, int k, Source const& so
   source_sizes_plane(l, b, k, source);
   for_each_wall_term(l, b, k, source, [&](std::ptrdiff_t at, Real term) { plane_[std::size_t(at)] += std::abs(term); });
   mesh_.clear_covered(l, b, k, plane_.data());
+}
+
+void SecondOrderResidual::for_each_charge(Field const& phi, std::vector<Walls> const& walls,
+                                          std::vector<Real> const& potentials, OfCharge const& f) {
+  visit(phi, walls, [&](int l, int b) {
+    Box const& own = mesh_.box(l, b);
+    Equation const equation = mesh_.equation(l);
+    auto const act = [&](CutCell const& cut, CutRow const& row) {
+      if (mesh_.is_covered(l, b, cut.cell)) return;
+      std::size_t const place = std::size_t(own.offset(cut.cell));
+      for (int axis = 0; axis < 3; ++axis) {
+        if (row.surface[2 * std::size_t(axis)] == 0 && row.surface[2 * std::size_t(axis) + 1] == 0) continue;
+        auto const line = ghosts_.line_through(l, b, cut, row, axis, phi, walls, potentials);
+        for (int side = 0; side < 2; ++side)
+          if (std::size_t const n = std::size_t(2 * axis + side); cut.is_cut(n) && row.surface[n] != 0)
+            f(l, std::size_t(mesh_.offset(l, b)) + place, cut.electrode[n],
+              vacuum_permittivity * mesh_.volume(l) * equation.weight[axis] * line.across(side));
+      }
+    };
+    for (int k = 0; k < own.extent(2); ++k)
+      mesh_.for_each_in_metal(
+          l, b, k, [&](CutCell const& cut, CutRow const& row, std::ptrdiff_t) { act(cut, row); },
+          [](std::ptrdiff_t, int) {});
+  });
 }
 
 /// Call f(cell, weight) for the weights that cells have in the fits in gaps for their own ghosts behind a face of a
@@ -157,6 +224,10 @@ void SecondOrderResidual::diagonal_plane(int l, int b, int k, Field const& phi) 
       });
     }
   }
+  mesh_.for_each_in_metal(
+      l, b, k,
+      [&](CutCell const&, CutRow const& row, std::ptrdiff_t at) { plane_[std::size_t(at)] = -row.diagonal * cells[at]; },
+      [&](std::ptrdiff_t at, int) { plane_[std::size_t(at)] = 0; });
   mesh_.clear_covered(l, b, k, plane_.data());
 }
 

@@ -10,6 +10,7 @@ struct Source {
   Field const& rho;  ///< C/m^3; values in covered cells are not used
   std::vector<Walls> const& walls;
   Background background{};
+  std::vector<Real> potentials{};  ///< of electrodes, V
 };
 
 /// Integral over uncovered cells of f less what the wall data add to the Laplacian, and of the magnitudes of its terms.
@@ -32,6 +33,11 @@ class CompositeResidual {
   Real right_hand_side_norm(Source const& source, Norm norm);
   IntegralOfSource integrate_right_hand_side(Source const& source);
   Real diagonal_norm(Field const& phi, Norm norm);
+
+  /// Call f(level, place, electrode, charge in C) for the arms of uncovered cells that metal cuts: what leaves its
+  /// surface through their faces. Collective.
+  using OfCharge = std::function<void(int, std::size_t, int, Real)>;
+  virtual void for_each_charge(Field const&, std::vector<Walls> const&, std::vector<Real> const&, OfCharge const&) {}
 
   std::size_t bytes() const { return plane_.capacity() * sizeof(Real); }
 
@@ -75,11 +81,15 @@ class SecondOrderResidual : public CompositeResidual {
   void right_hand_side_plane(int l, int b, int k, Source const& source) override;
   void term_sizes_plane(int l, int b, int k, Source const& source) override;
   void diagonal_plane(int l, int b, int k, Field const& phi) override;
+  void for_each_charge(Field const& phi, std::vector<Walls> const& walls, std::vector<Real> const& potentials,
+                       OfCharge const& f) override;
   void visit(Field const& phi, std::vector<Walls> const& walls, std::function<void(int, int)> const& f) override {
     ghosts_.visit(phi, walls, FullyCovered::skip, f);
   }
   template <class F>
   void for_each_wall_term(int l, int b, int k, Source const& source, F&& f) const;
+  Real of_surfaces(int l, int b, CutCell const& cut, CutRow const& row, Source const& source) const;
+  Real of_data(int l, int b, CutCell const& cut, CutRow const& row, Source const& source) const;
   template <class F>
   void for_each_own_share_in_gaps(int l, int b, int face, F&& f) const;
 

@@ -63,9 +63,10 @@ std::vector<Real> means(Level const& level, Index3 const& ratio, Level const& pa
   return out;
 }
 
-/// Parents in which the coarser Laplacian is an estimate: all children are uncovered, and they are not at a wall.
+/// Parents in which the coarser Laplacian is an estimate: all children are uncovered, and they are not at a wall, nor
+/// beside metal.
 ArrayOnBox<char> usable_parents(Level const& level, Level const* finer, Index3 const& ratio, Level const& parents,
-                                Box const& region) {
+                                MetalCells const& metal, Box const& region) {
   ArrayOnBox<char> out(region, 0);
   parents.for_each_overlap(region, [&](int, Box const& part, Index3 const&) { out.fill(part, 1); });
   if (finer)
@@ -79,6 +80,8 @@ ArrayOnBox<char> usable_parents(Level const& level, Level const* finer, Index3 c
     out.fill(below, 0);
     out.fill(above, 0);
   }
+  for (CutCell const& cut : metal.cut()) out.fill(Box{cut.cell, cut.cell}.grow(1), 0);
+  for (SolidCell const& solid : metal.solid()) out.fill({solid.cell, solid.cell}, 0);
   return out;
 }
 
@@ -168,12 +171,13 @@ Real composite_truncation(CompositeMesh& mesh, Source const& source, Field const
     Real const* const coarse_phi = l > 0 ? phi.level(l - 1).data() : potentials.data();
     auto const charge_halo = rho.halo(1, charges.data()), phi_halo = phi_near.halo(1, coarse_phi);
     Equation const coarse = equation_on(parents.spacing(), mesh.shift());
+    MetalCells const metal = mesh.metal() ? mesh.metal()->own_cells(parents) : MetalCells{};
     for (int b = 0; b < mesh.boxes(l); ++b) {
       Box const& region = rho.region(std::size_t(b));  // of the box and of the cells around it that prolongation reads
       auto const charge = rho.values(std::size_t(b), charges.data(), charge_halo);
       auto const potential = phi_near.values(std::size_t(b), coarse_phi, phi_halo);
       auto const usable =
-          usable_parents(level, mesh.hierarchy().has_finer(l) ? &mesh.level(l + 1) : nullptr, ratio, parents, region);
+          usable_parents(level, mesh.hierarchy().has_finer(l) ? &mesh.level(l + 1) : nullptr, ratio, parents, metal, region);
       ArrayOnBox<Real> error(region, 0.0);
       for_each_row(region, [&](Index3 const& first) {
         estimate_row(region.extent(0), coarse, &potential(first), potential.box(), &charge(first), source.background,

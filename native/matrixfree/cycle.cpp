@@ -99,7 +99,7 @@ MultigridLevels Cycle::levels_of(Hierarchy const& hierarchy, Real shift, int ord
 }
 
 Cycle::Cycle(Communicator const& comm, MultigridLevels multigrid, int max_grid_size, Relaxation const& relaxation,
-             std::shared_ptr<GapFits> gap_fits, int most_direct, Known* known)
+             std::shared_ptr<GapFits> gap_fits, int most_direct, Known* known, Metal const* metal)
     : LevelActs(CycleLevels(std::move(multigrid), max_grid_size), {relaxation.pre_sweeps, relaxation.post_sweeps}),
       comm_(comm) {
   OpenWalls const open_walls(levels());
@@ -119,7 +119,8 @@ Cycle::Cycle(Communicator const& comm, MultigridLevels multigrid, int max_grid_s
     int const deep = own.halo() + (!is_semicoarse && (is_semicoarsened || !levels().refines(l)) ? 1 : 0);
     bool const thin = !is_semicoarse && !is_semicoarsened && !has_gaps[l] && has_thin_copies(level, rules);
     int const halo = thin ? 1 : std::max(deep, has_gaps[l] ? reach_in_gaps : 0);
-    return std::make_unique<SweptLevel>(comm, levels().level(l), rules, levels().boundary, levels().shift, own, halo);
+    return std::make_unique<SweptLevel>(comm, levels().level(l), rules, levels().boundary, levels().shift, own, halo,
+                                        metal);
   };
   auto const passage = [&](std::size_t l, std::size_t c) {
     auto const* semicoarse = levels().semicoarse(c);
@@ -137,9 +138,14 @@ Cycle::Cycle(Communicator const& comm, MultigridLevels multigrid, int max_grid_s
   Box const& box = coarsest.domain();
   Equation const equation = scaled(levels().equation(0), this->swept(0).scale());
   GhostRules const rules = ghost_rules_of(levels(), open_walls, 0);
-  direct_ = std::make_unique<FastDiagonalisation>(Index3{box.extent(0), box.extent(1), box.extent(2)}, equation,
-                                                  walls_of_coarsest(levels(), rules), coarsest.periodic(),
-                                                  rules.seam_width, leaves_mean(levels()));
+  Index3 const cells{box.extent(0), box.extent(1), box.extent(2)};
+  WallGhosts const walls = walls_of_coarsest(levels(), rules);
+  auto const in_metal = metal ? metal->cells(coarsest, {box}) : MetalCells{};
+  if (!in_metal.empty())
+    direct_ = std::make_unique<DenseRows>(cells, equation, walls, coarsest.periodic(), rules.seam_width, in_metal);
+  else
+    direct_ = std::make_unique<FastDiagonalisation>(cells, equation, walls, coarsest.periodic(), rules.seam_width,
+                                                    !metal && leaves_mean(levels()));
 }
 
 void Cycle::solve_coarsest() {

@@ -28,15 +28,16 @@ class Cycle : public LevelActs<SweptLevel, Coarsening> {
   /// `shift`: of the Equation. `order`: of the residual that corrections are for. `gap_fits`: what is known of fits in
   /// gaps, and is added to. `most_direct`: see `most_direct_readers`. Collective.
   Cycle(Communicator const& comm, Hierarchy const& hierarchy, Real shift, Relaxation const& relaxation, int order = 2,
-        std::shared_ptr<GapFits> gap_fits = std::make_shared<GapFits>(), int most_direct = most_direct_readers)
+        std::shared_ptr<GapFits> gap_fits = std::make_shared<GapFits>(), int most_direct = most_direct_readers,
+        Metal const* metal = nullptr)
       : Cycle(comm, levels_of(hierarchy, shift, order), hierarchy.max_grid_size(), relaxation, std::move(gap_fits),
-              most_direct) {}
+              most_direct, nullptr, metal) {}
   /// What all ranks know of who reads whose corrections, by levels.
   using Known = std::vector<KnownReads>;
   /// On levels of `levels_of`. `known`, if given, is what the cycles of other virtual ranks found, and is added to.
   /// Collective.
   Cycle(Communicator const& comm, MultigridLevels multigrid, int max_grid_size, Relaxation const& relaxation,
-        std::shared_ptr<GapFits> gap_fits, int most_direct, Known* known = nullptr);
+        std::shared_ptr<GapFits> gap_fits, int most_direct, Known* known = nullptr, Metal const* metal = nullptr);
 
   /// The levels of a hierarchy and those below the base. Local.
   static MultigridLevels levels_of(Hierarchy const& hierarchy, Real shift, int order = 2);
@@ -53,7 +54,7 @@ class Cycle : public LevelActs<SweptLevel, Coarsening> {
 
  private:
   Communicator comm_;
-  std::unique_ptr<FastDiagonalisation> direct_;
+  std::unique_ptr<Direct> direct_;
   std::vector<Real> values_;
 };
 

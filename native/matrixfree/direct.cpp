@@ -3,21 +3,22 @@
 #include <cmath>
 #include <stdexcept>
 
+extern "C" void dgetrf_(int const* rows, int const* columns, double* matrix, int const* leading, int* pivots, int* info);
+extern "C" void dgetrs_(char const* transposed, int const* n, int const* sides, double const* factors,
+                        int const* leading, int const* pivots, double* sides_and_solutions, int const* leading_of_sides,
+                        int* info);
 extern "C" void dsyev_(char const* vectors, char const* triangle, int const* n, double* matrix, int const* leading,
                        double* eigenvalues, double* work, int const* size_of_work, int* info);
 
 namespace amrpic::matrixfree {
 
-FastDiagonalisation::FastDiagonalisation(Index3 const& cells, Equation const& equation, WallGhosts const& walls,
-                                         std::array<bool, 3> const& periodic, Real3 const& seam_width, bool leaves_mean)
-    : cells_(cells), shift_(equation.shift), leaves_mean_(leaves_mean) {
-  for (int d = 0; d < 3; ++d) axes_[d] = axis(cells[d], equation.weight[d], walls[d], periodic[d], seam_width[d]);
-}
+namespace {
 
-FastDiagonalisation::Axis FastDiagonalisation::axis(int n, Real weight, std::array<WallGhost, 2> const& walls,
-                                                    bool periodic, Real seam_width) {
+/// The second difference along an axis times a weight, column by column.
+std::vector<Real> second_differences(int n, Real weight, std::array<WallGhost, 2> const& walls, bool periodic,
+                                     Real seam_width) {
   std::size_t const size = std::size_t(n);
-  std::vector<Real> matrix(size * size, 0.0);  // column by column
+  std::vector<Real> matrix(size * size, 0.0);
   auto at = [&](int i, int j) -> Real& { return matrix[std::size_t(i) + size * std::size_t(j)]; };
   for (int i = 0; i < n; ++i) {
     for (int side = 0; side < 2; ++side) {
@@ -32,6 +33,22 @@ FastDiagonalisation::Axis FastDiagonalisation::axis(int n, Real weight, std::arr
       }
     }
   }
+  return matrix;
+}
+
+}  // namespace
+
+FastDiagonalisation::FastDiagonalisation(Index3 const& cells, Equation const& equation, WallGhosts const& walls,
+                                         std::array<bool, 3> const& periodic, Real3 const& seam_width, bool leaves_mean)
+    : cells_(cells), shift_(equation.shift), leaves_mean_(leaves_mean) {
+  for (int d = 0; d < 3; ++d) axes_[d] = axis(cells[d], equation.weight[d], walls[d], periodic[d], seam_width[d]);
+}
+
+FastDiagonalisation::Axis FastDiagonalisation::axis(int n, Real weight, std::array<WallGhost, 2> const& walls,
+                                                    bool periodic, Real seam_width) {
+  std::size_t const size = std::size_t(n);
+  std::vector<Real> matrix = second_differences(n, weight, walls, periodic, seam_width);
+  auto at = [&](int i, int j) -> Real& { return matrix[std::size_t(i) + size * std::size_t(j)]; };
   // A wall's second cell, or a volume of its own, makes the matrix unsymmetric; in other units of each cell it is
   // symmetric.
   std::vector<Real> unit(size, 1.0);
@@ -90,6 +107,72 @@ void FastDiagonalisation::solve(std::vector<Real>& values) {
         ++n;
       }
   for (int d = 0; d < 3; ++d) transform(d, axes_[d].from, values);
+}
+
+DenseRows::DenseRows(Index3 const& cells, Equation const& equation, WallGhosts const& walls,
+                     std::array<bool, 3> const& periodic, Real3 const& seam_width, MetalCells const& metal)
+    : pivots_(std::size_t(cells[0]) * cells[1] * cells[2]) {
+  Box const box{{0, 0, 0}, {cells[0] - 1, cells[1] - 1, cells[2] - 1}};
+  std::size_t const size = pivots_.size();
+  matrix_.resize(size * size);
+  auto at = [&](Index3 const& row, Index3 const& column) -> Real& {
+    return matrix_[std::size_t(box.offset(row)) + size * std::size_t(box.offset(column))];
+  };
+  auto const along = [](Index3 cell, int axis, int place) {
+    cell[axis] = place;
+    return cell;
+  };
+  auto const clear_row = [&](Index3 const& cell) {
+    for_each_cell(box, [&](Index3 const& column) { at(cell, column) = 0; });
+  };
+  for_each_cell(box, [&](Index3 const& cell) { at(cell, cell) = -equation.shift; });
+  for (int d = 0; d < 3; ++d) {
+    int const n = cells[d];
+    auto const differences = second_differences(n, equation.weight[d], walls[d], periodic[d], seam_width[d]);
+    for_each_cell(box, [&](Index3 const& cell) {
+      for (int i = 0; i < n; ++i) at(cell, along(cell, d, i)) += differences[std::size_t(cell[d] + n * i)];
+    });
+  }
+  for (CutCell const& cut : metal.cut()) {
+    std::array<Arm, 6> arms;
+    std::array<Real, 6> factor;  // of the value beyond
+    std::array<Index3, 6> place;
+    for (std::size_t side = 0; side < 6; ++side) {
+      int const d = int(side) / 2, s = int(side) % 2, n = cells[d], next = cut.cell[d] + (s == 0 ? -1 : 1);
+      bool const wall = !periodic[d] && (next < 0 || next >= n);
+      arms[side] = arm_of(cut, side, wall);
+      factor[side] = periodic[d] ? seam_factor(cut.cell[d], s, n, seam_width[d]) : 1;
+      place[side] = along(cut.cell, d, (next + n) % n);
+      if (!wall) {
+        arms[side].first = 1 - factor[side];
+        continue;
+      }
+      WallGhost const& ghost = walls[std::size_t(d)][std::size_t(s)];
+      arms[side].first = ghost.first, arms[side].is_parabola = ghost.second != 0;
+      factor[side] = n > 1 ? ghost.second : 0;
+      place[side] = along(cut.cell, d, n > 1 ? cut.cell[d] - (s == 0 ? -1 : 1) : 0);
+    }
+    CutRow const row = cut_row(equation, arms);
+    clear_row(cut.cell);
+    at(cut.cell, cut.cell) = -row.diagonal;
+    for (std::size_t side = 0; side < 6; ++side) at(cut.cell, place[side]) += row.neighbour[side] * factor[side];
+  }
+  for (SolidCell const& solid : metal.solid()) {
+    clear_row(solid.cell);
+    at(solid.cell, solid.cell) = -equation.diagonal();
+    solid_.push_back(std::size_t(box.offset(solid.cell)));
+  }
+  int const n = int(size);
+  int info = 0;
+  dgetrf_(&n, &n, matrix_.data(), &n, pivots_.data(), &info);
+  if (info != 0) throw std::runtime_error("the equations of the coarsest level beside electrodes are singular");
+}
+
+void DenseRows::solve(std::vector<Real>& values) {
+  int const n = int(pivots_.size()), one = 1;
+  int info = 0;
+  dgetrs_("N", &n, &one, matrix_.data(), &n, pivots_.data(), values.data(), &n, &info);
+  for (std::size_t place : solid_) values[place] = 0;
 }
 
 }  // namespace amrpic::matrixfree

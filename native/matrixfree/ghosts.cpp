@@ -25,10 +25,22 @@ float held_by(Ghost const& ghost) {
   return std::abs(out) < 1e-6f ? 0 : out;
 }
 
+/// Call f(first cell, count, place) for the parts of a row of a box that lie side by side in the domain.
+template <class F>
+void for_each_part_in_domain(Level const& level, Box const& box, int j, int k, F&& f) {
+  int const nx = box.extent(0);
+  for (int i = 0; i < nx;) {
+    Index3 const first = level.wrapped({box.lower[0] + i, box.lower[1] + j, box.lower[2] + k});
+    int const count = std::min(nx - i, level.domain().upper[0] - first[0] + 1);
+    f(first, count, i);
+    i += count;
+  }
+}
+
 }  // namespace
 
 Stencil::Stencil(Level const& level, Layout const& layout, LevelFaces const& faces, GhostRules const& rules,
-                 Equation const& equation, Real relaxation, bool in_differences)
+                 Equation const& equation, Real relaxation, bool in_differences, MetalCells const& metal)
     : relaxation_(relaxation), shift_(float(equation.shift)) {
   auto& weight = table_.weight;
   for (int d = 0; d < 3; ++d) weight[d] = is_its_own_neighbour(level, rules, d) ? 0 : float(equation.weight[d]);
@@ -48,16 +60,21 @@ Stencil::Stencil(Level const& level, Layout const& layout, LevelFaces const& fac
     first_composed_.push_back(std::int32_t(first_run_.size() - 1));
     add_rows(layout, b, all);
     add_coefficients(&rows_[std::size_t(first_row_[b])], block, all);
+    if (!metal.empty())
+      add_metal(level, block, faces[b], rules, all, equation, metal, &rows_[std::size_t(first_row_[b])]);
   }
   first_row_.push_back(std::int32_t(rows_.size()));
   first_composed_.push_back(std::int32_t(first_run_.size() - 1));
   rows_.shrink_to_fit(), runs_.shrink_to_fit(), first_run_.shrink_to_fit();
   known_.clear();
+  cut_values_.resize(cuts_.size());
 }
 
 RowTable Stencil::table() const {
   RowTable out = table_;
   out.rows = rows_.data(), out.runs = runs_.data(), out.first_run = first_run_.data(), out.coefficients = pool_.data();
+  if (!metal_rows_.empty()) out.metal_rows = metal_rows_.data();
+  out.cuts = cuts_.data(), out.solids = solids_.data(), out.cut_values = cut_values_.data();
   return out;
 }
 
@@ -203,6 +220,69 @@ void Stencil::add_coefficients(Row* rows, CellBlock const& block,
     }
 }
 
+/// The equations of cut cells, and what makes solid ones zero: their steps.
+void Stencil::add_metal(Level const& level, CellBlock const& block, BoxFaces const& faces, GhostRules const& rules,
+                        std::array<std::array<std::vector<Ghost>, 2>, 3> const& ghosts, Equation const& equation,
+                        MetalCells const& metal, Row* rows) {
+  int const ny = block.box.extent(1), nz = block.box.extent(2);
+  auto const arms_of = [&](Index3 const& at, CutCell const& cut) {
+    std::array<Arm, 6> out;
+    for (std::size_t n = 0; n < 6; ++n) {
+      int const axis = int(n) / 2, side = int(n) % 2;
+      bool const ends = at[axis] == (side == 0 ? 0 : block.box.extent(axis) - 1);
+      bool const wall = ends && faces.sides[n].is_wall;
+      out[n] = arm_of(cut, n, wall);
+      if (!ends) continue;
+      auto const [u, v] = tangential_axes(axis);
+      out[n].first = ghosts[axis][side][std::size_t(at[u] + block.box.extent(u) * at[v])].first;
+      out[n].is_parabola = wall && rules.walls[axis][side].second != 0;
+    }
+    return out;
+  };
+  for (int k = 0; k < nz; ++k)
+    for (int j = 0; j < ny; ++j) {
+      std::array<std::vector<CutPlace>, 2> cuts;
+      std::vector<SolidRun> solids;
+      for_each_part_in_domain(level, block.box, j, k, [&](Index3 const& first, int count, int place) {
+        metal.for_each_cut(first, count, [&](CutCell const& cut) {
+          Index3 const at{place + cut.cell[0] - first[0], j, k};
+          CutRow const row = cut_row(equation, arms_of(at, cut));
+          CutPlace out{at[0], {}, float(row.diagonal), float(relaxation_ / row.diagonal)};
+          for (std::size_t n = 0; n < 6; ++n) out.weight[n] = float(row.neighbour[n]);
+          cuts[std::size_t(at[0] % 2)].push_back(out);
+        });
+        metal.for_each_solid(first, count, [&](SolidCell const& solid) {
+          int const i = place + solid.cell[0] - first[0];
+          if (!solids.empty() && solids.back().place + solids.back().count == i)
+            ++solids.back().count;
+          else
+            solids.push_back({i, 1});
+        });
+      });
+      add_metal_row(rows[j + ny * k], cuts, solids);
+    }
+}
+
+void Stencil::add_metal_row(Row& row, std::array<std::vector<CutPlace>, 2> const& cuts,
+                            std::vector<SolidRun> const& solids) {
+  if (cuts[0].empty() && cuts[1].empty() && solids.empty()) return;
+  row.metal = std::int32_t(metal_rows_.size());
+  metal_rows_.push_back({std::int32_t(cuts_.size()),
+                         {std::int32_t(cuts[0].size()), std::int32_t(cuts[1].size())},
+                         std::int32_t(solids_.size()),
+                         std::int32_t(solids.size())});
+  for (auto const& of_parity : cuts) cuts_.insert(cuts_.end(), of_parity.begin(), of_parity.end());
+  solids_.insert(solids_.end(), solids.begin(), solids.end());
+  if (solids.empty()) return;
+  std::size_t const start = pool_.size(), pitch = std::size_t(row.pitch), size = RowTable::held_place * pitch;
+  pool_.resize(start + (size + 15) / 16 * 16);  // coefficients of its own
+  std::copy_n(pool_.begin() + row.coefficients, size, pool_.begin() + std::ptrdiff_t(start));
+  for (SolidRun const& run : solids)
+    for (std::size_t parity : {1, 2})
+      std::fill_n(pool_.begin() + std::ptrdiff_t(start + parity * pitch) + run.place, run.count, 0.0f);
+  row.coefficients = std::int32_t(start);
+}
+
 std::int32_t Stencil::pooled(CellBlock const& block, std::vector<float> const& diagonal,
                              std::vector<float> const& held) {
   std::size_t const pitch = std::size_t(block.cells.pitch_y);
@@ -229,7 +309,8 @@ std::int32_t Stencil::pooled(CellBlock const& block, std::vector<float> const& d
 
 std::size_t Stencil::bytes() const {
   return pool_.size() * sizeof(float) + rows_.size() * sizeof(Row) + runs_.size() * sizeof(ScaledRun) +
-         first_run_.size() * sizeof(std::int32_t);
+         first_run_.size() * sizeof(std::int32_t) + metal_rows_.size() * sizeof(MetalRow) +
+         cuts_.size() * (sizeof(CutPlace) + sizeof(float)) + solids_.size() * sizeof(SolidRun);
 }
 
 }  // namespace amrpic::matrixfree

@@ -8,6 +8,7 @@
 #include "matrixfree/layout.hpp"
 #include "matrixfree/row_table.hpp"
 #include "mesh/faces.hpp"
+#include "mesh/metal.hpp"
 #include "stencil/equation.hpp"
 #include "stencil/odd_extents.hpp"
 
@@ -41,9 +42,10 @@ inline Real smallest_spacing(Level const& level) {
 /// The rows of a level's blocks, for sweeps over a layout: see RowTable.
 class Stencil {
  public:
-  /// `faces`: of the blocks; `equation`: times h²; `relaxation`: factor of a Gauss-Seidel step.
+  /// `faces`: of the blocks; `equation`: times h²; `relaxation`: factor of a Gauss-Seidel step; `metal`: in the domain,
+  /// in as much of it as the blocks take.
   Stencil(Level const& level, Layout const& layout, LevelFaces const& faces, GhostRules const& rules,
-          Equation const& equation, Real relaxation, bool in_differences);
+          Equation const& equation, Real relaxation, bool in_differences, MetalCells const& metal);
 
   /// h² / h_d²; zero along axes of one cell that is its own neighbour: what cancels there does so before any rounding.
   std::array<float, 3> const& weight() const { return table_.weight; }
@@ -58,6 +60,9 @@ class Stencil {
   std::vector<ScaledRun> const& runs() const { return runs_; }
   std::vector<std::int32_t> const& first_runs() const { return first_run_; }
   Vector const& coefficients() const { return pool_; }
+  std::vector<MetalRow> const& metal_rows() const { return metal_rows_; }
+  std::vector<CutPlace> const& cuts() const { return cuts_; }
+  std::vector<SolidRun> const& solids() const { return solids_; }
   std::size_t bytes() const;
 
  private:
@@ -68,6 +73,10 @@ class Stencil {
   std::int32_t compose(Ghost const* ghosts, int n, std::ptrdiff_t own, std::ptrdiff_t zero_row);
   void add_coefficients(Row* rows, CellBlock const& block,
                         std::array<std::array<std::vector<Ghost>, 2>, 3> const& ghosts);
+  void add_metal(Level const& level, CellBlock const& block, BoxFaces const& faces, GhostRules const& rules,
+                 std::array<std::array<std::vector<Ghost>, 2>, 3> const& ghosts, Equation const& equation,
+                 MetalCells const& metal, Row* rows);
+  void add_metal_row(Row& row, std::array<std::vector<CutPlace>, 2> const& cuts, std::vector<SolidRun> const& solids);
   std::int32_t pooled(CellBlock const& block, std::vector<float> const& diagonal, std::vector<float> const& held);
 
   Real relaxation_;
@@ -79,6 +88,10 @@ class Stencil {
   std::vector<std::int32_t> first_run_{0};
   Vector pool_;  ///< coefficients, which many rows share
   std::unordered_map<std::string, std::int32_t> known_;
+  std::vector<MetalRow> metal_rows_;
+  std::vector<CutPlace> cuts_;
+  std::vector<SolidRun> solids_;
+  mutable std::vector<float> cut_values_;
 };
 
 }  // namespace amrpic::matrixfree

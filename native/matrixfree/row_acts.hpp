@@ -1,6 +1,7 @@
 // The acts of a cycle on rows, for whoever works on one: a thread of the host by whole vectors, or a team by cells.
 #pragma once
 
+#include <algorithm>
 #include <utility>
 
 #include "matrixfree/parents.hpp"
@@ -16,15 +17,66 @@ struct Thread {
 #pragma GCC ivdep
     for (int i = 0; i < n; ++i) f(i);
   }
+  KOKKOS_INLINE_FUNCTION void barrier() const {}
 };
 
-/// One colour of a row relaxed.
+/// Call f(cut cell, its number) for the cut cells of a row at places of some parity.
+template <class Worker, class F>
+KOKKOS_INLINE_FUNCTION void for_each_cut(RowTable const& level, Row const& row, int parity, Worker const& worker,
+                                         F const& f) {
+  MetalRow const& metal = level.metal_rows[row.metal];
+  int const first = metal.first_cut + (parity == 0 ? 0 : metal.cuts[0]);
+  worker.for_each(metal.cuts[std::size_t(parity)], [&](int n) { f(level.cuts[first + n], first + n); });
+}
+
+/// Set what metal makes zero in a row of values.
+template <class Worker>
+[[gnu::noinline]] KOKKOS_INLINE_FUNCTION void clear_solid(RowTable const& level, Row const& row, float* values, Worker const& worker) {
+  if (!level.has_metal(row)) return;
+  MetalRow const& metal = level.metal_rows[row.metal];
+  for (int n = 0; n < metal.solids; ++n) {
+    SolidRun const run = level.solids[metal.first_solid + n];
+    worker.for_each(run.count, [=](int i) { values[run.place + i] = 0; });
+  }
+}
+
+// What is done to cut cells stays out of the loops over whole vectors.
+/// The values of the cut cells at places of some parity after a step, into `cut_values`.
+template <class Worker>
+[[gnu::noinline]] KOKKOS_INLINE_FUNCTION void relax_cut(RowTable const& level, Row const& row, int parity,
+                                                        CorrectionRow const& at, float const* right,
+                                                        Worker const& worker) {
+  for_each_cut(level, row, parity, worker, [&](CutPlace const& cut, int n) {
+    int const i = cut.place;
+    level.cut_values[n] = relaxed(level.keep, at.here[i], cut.step, level.sum(row, at, cut), right[i]);
+  });
+}
+/// These put in place.
+template <class Worker>
+[[gnu::noinline]] KOKKOS_INLINE_FUNCTION void place_cut(RowTable const& level, Row const& row, int parity, float* here,
+                                                        Worker const& worker) {
+  worker.barrier();
+  for_each_cut(level, row, parity, worker, [&](CutPlace const& cut, int n) { here[cut.place] = level.cut_values[n]; });
+}
+template <class Worker>
+[[gnu::noinline]] KOKKOS_INLINE_FUNCTION void relax_cut_from_zero(RowTable const& level, Row const& row, int parity,
+                                                                  float const* right, float* here,
+                                                                  Worker const& worker) {
+  worker.barrier();
+  for_each_cut(level, row, parity, worker, [&](CutPlace const& cut, int) {
+    here[cut.place] = relaxed_from_zero(cut.step, right[cut.place]);
+  });
+}
+
+/// One colour of a row relaxed. Cut cells take no part in what is done to whole vectors: as cells of one colour do not
+/// see each other, their values are found before and put in place after it. The steps of solid ones are zero.
 template <int lanes, bool isotropic, class Composed, class Worker>
 KOKKOS_INLINE_FUNCTION void relax(RowTable const& level, Row const& row, int colour, Composed const& composed,
                                   float const* r, float* e, Worker const& worker) {
   int const parity = (row.parity + colour) & 1;
   CorrectionRow const at = level.correction<lanes>(row, e, composed);
   float const *const right = r + row.place, *const step = level.step(row, parity);
+  if (level.has_metal(row)) relax_cut(level, row, parity, at, right, worker);
   if constexpr (Worker::has_vectors)
     relax<lanes, isotropic>(at, level.weight, right, step, level.keep, parity);
   else
@@ -32,18 +84,21 @@ KOKKOS_INLINE_FUNCTION void relax(RowTable const& level, Row const& row, int col
       int const i = 2 * half + parity;
       at.here[i] = relaxed(level.keep, at.here[i], step[i], level.sum(row, at, i), right[i]);
     });
+  if (level.has_metal(row)) place_cut(level, row, parity, at.here, worker);
 }
 
 /// The same from zero: the other colour becomes zero.
 template <int lanes, class Worker>
 KOKKOS_INLINE_FUNCTION void relax_from_zero(RowTable const& level, Row const& row, int colour, float const* r, float* e,
                                             Worker const& worker) {
-  float const *const right = r + row.place, *const step = level.step(row, (row.parity + colour) & 1);
+  int const parity = (row.parity + colour) & 1;
+  float const *const right = r + row.place, *const step = level.step(row, parity);
   float* const here = e + row.place;
   if constexpr (Worker::has_vectors)
     relax_from_zero<lanes>(here, right, step, row.pitch / lanes);
   else
     worker.for_each(row.pitch, [=](int i) { here[i] = relaxed_from_zero(step[i], right[i]); });
+  if (level.has_metal(row)) relax_cut_from_zero(level, row, parity, right, here, worker);
 }
 
 constexpr int chunk = 256;  ///< cells of a row of which a thread of the host has residuals in flight
@@ -66,17 +121,44 @@ struct ChildRow {
   }
 
   KOKKOS_INLINE_FUNCTION float operator()(int i) const {
+    if (level.has_metal(row)) {
+      MetalRow const& metal = level.metal_rows[row.metal];
+      for (int n = 0; n < metal.solids; ++n) {
+        SolidRun const run = level.solids[metal.first_solid + n];
+        if (i >= run.place && i < run.place + run.count) return 0;
+      }
+      int const cuts = metal.cuts[0] + metal.cuts[1];
+      for (int n = 0; of_residual && n < cuts; ++n)
+        if (CutPlace const& cut = level.cuts[metal.first_cut + n]; cut.place == i)
+          return remaining(r[i], level.sum(row, at, cut), cut.diagonal, at.here[i]);
+    }
     if (!of_residual) return r[i];
     if (level.in_differences) return at.remaining(level.weight, r[i], level.held(row)[i], i);
     return remaining(r[i], level.sum(row, at, i), level.diagonal(row)[i], at.here[i]);
   }
 };
 
+/// Residuals of some cells of a row, set as if there were no metal: those of cut and solid cells.
+[[gnu::noinline]] inline void residuals_beside_metal(RowTable const& level, Row const& row, CorrectionRow const& at, float const* r,
+                                   int first, int count, float* left) {
+  MetalRow const& metal = level.metal_rows[row.metal];
+  for (int n = metal.first_cut; n < metal.first_cut + metal.cuts[0] + metal.cuts[1]; ++n) {
+    CutPlace const& cut = level.cuts[n];
+    if (int const i = cut.place; i >= first && i < first + count)
+      left[i - first] = remaining(r[i], level.sum(row, at, cut), cut.diagonal, at.here[i]);
+  }
+  for (int n = metal.first_solid; n < metal.first_solid + metal.solids; ++n) {
+    SolidRun const run = level.solids[n];
+    for (int i = std::max(first, run.place); i < std::min(first + count, run.place + run.count); ++i) left[i - first] = 0;
+  }
+}
+
 /// Add `weight` times the sums of residuals in pairs, or of single ones, to parents, or set these, part by part.
 template <int lanes, bool isotropic>
 inline void restrict_residuals(RowTable const& level, Row const& row, CorrectionRow at, float const* r,
                                Parents const& parents, float weight, bool set, float* to) {
   alignas(64) float left[chunk + 2 * widest];  // no vector straddles two cache lines
+  CorrectionRow const whole = at;
   float const end = at.right;
   int const last = at.last;
   for (int first = 0; first < row.cells; first += chunk) {
@@ -85,6 +167,7 @@ inline void restrict_residuals(RowTable const& level, Row const& row, Correction
     at.last = is_last ? last : lanes - 1;
     at.vectors = (is_last ? row.pitch - first : chunk) / lanes;
     residual<lanes, isotropic>(at, level.weight, r + first, level.diagonal(row) + first, left);
+    if (level.has_metal(row)) residuals_beside_metal(level, row, whole, r, first, chunk, left);
     restrict_row<lanes>(left, parents.over_ratio(0, is_last ? row.cells - first : chunk), parents.ratio[0], weight, set,
                         to + parents.over_ratio(0, first));
     if (is_last) return;
@@ -109,7 +192,7 @@ KOKKOS_INLINE_FUNCTION void restrict_to(Parents const& parents, int y, int z, Ro
         f(rows[j + ny * k], weight * parents.weight_of(1, j) * parents.weight_of(2, k));
   };
   if constexpr (Worker::has_vectors)
-    if (!level.in_differences && parents.last[0] < 0 && parents.odd[0] == 0 &&
+    if (!level.in_differences && (of_residual || !level.metal_rows) && parents.last[0] < 0 && parents.odd[0] == 0 &&
         (rows->cells & (parents.ratio[0] - 1)) == 0)
       return with_kind(rows->lanes, level.isotropic, [&](auto lanes, auto isotropic) {
         for_each_child_row([&](Row const& row, float of_row) {
@@ -134,8 +217,9 @@ KOKKOS_INLINE_FUNCTION void restrict_to(Parents const& parents, int y, int z, Ro
 /// Row (j, k) of a block set to the coarse correction, interpolated trilinearly along the axes of ratio 2, or this
 /// added; ghost cells of the block's parents are filled. Sweeps that follow read r.
 template <int lanes, class Worker>
-KOKKOS_INLINE_FUNCTION void prolong(Parents const& parents, int j, int k, Row const& row, float const* coarse, bool set,
-                                    float const* r, float* e, Worker const& worker) {
+KOKKOS_INLINE_FUNCTION void prolong_everywhere(Parents const& parents, int j, int k, Row const& row,
+                                               float const* coarse, bool set, float const* r, float* e,
+                                               Worker const& worker) {
   CoarseRows const from = parents.rows_of(j, k, coarse);
   float* const to = e + row.place;
   int const ratio = parents.ratio[0];
@@ -148,6 +232,16 @@ KOKKOS_INLINE_FUNCTION void prolong(Parents const& parents, int j, int k, Row co
     to[i] = (set ? 0 : to[i]) +
             (ratio == 1 ? here : prolonged(parents.far(0, i), here, mean(from, p + parents.toward(0, i))));
   });
+}
+
+/// The same, zero in metal.
+template <int lanes, class Worker>
+KOKKOS_INLINE_FUNCTION void prolong(Parents const& parents, int j, int k, RowTable const& level, Row const& row,
+                                    float const* coarse, bool set, float const* r, float* e, Worker const& worker) {
+  prolong_everywhere<lanes>(parents, j, k, row, coarse, set, r, e, worker);
+  if (!level.has_metal(row)) return;
+  worker.barrier();
+  clear_solid(level, row, e + row.place, worker);
 }
 
 }  // namespace amrpic::matrixfree

@@ -14,11 +14,31 @@ struct Row {
   std::array<std::int32_t, 2> end;     ///< places of the values before the first and after the last cell
   std::array<float, 2> factor;         ///< of these
   std::int32_t coefficients;           ///< where the row's coefficients start
+  std::int32_t metal = -1;             ///< number among rows with metal, or -1
   std::int32_t pitch;                  ///< between these; whole vectors
   std::int32_t cells;
   std::int8_t lanes;   ///< cells in a vector of the host
   std::int8_t parity;  ///< of the places of colour 0
   std::int8_t steps;   ///< from own cells
+};
+
+/// A cell beside metal, see CutRow: its equation.
+struct CutPlace {
+  std::int32_t place;  ///< in the row
+  std::array<float, 6> weight;
+  float diagonal, step;  ///< `step`: relaxation / diagonal
+};
+
+/// A run of cells in metal.
+struct SolidRun {
+  std::int32_t place, count;
+};
+
+/// What metal makes of a row: its cut cells, those of even places first, and its solid ones.
+struct MetalRow {
+  std::int32_t first_cut;
+  std::array<std::int32_t, 2> cuts;
+  std::int32_t first_solid, solids;
 };
 
 /// A run of values of a row: factor * e[source + i] for `count` cells from `place` on; of differences, factor *
@@ -47,6 +67,10 @@ struct RowTable {
   ScaledRun const* runs;          ///< of composed rows
   std::int32_t const* first_run;  ///< composed row c: [first_run[c], first_run[c + 1])
   float const* coefficients;      ///< of a row: the diagonal d; relaxation / d of even places, and of odd ones; `held`
+  MetalRow const* metal_rows;
+  CutPlace const* cuts;
+  SolidRun const* solids;
+  float* cut_values;              ///< room for a value of each cut cell
   std::array<float, 3> weight;    ///< h² / h_d²
   bool isotropic;
   float keep;  ///< 1 - relaxation
@@ -88,10 +112,24 @@ struct RowTable {
     out.right = row.factor[1] * (e[row.end[1]] - out.here[row.cells - 1]);
     return out;
   }
+  /// Whether metal is in a row, or beside its cells.
+  KOKKOS_INLINE_FUNCTION bool has_metal(Row const& row) const { return row.metal >= 0; }
+  KOKKOS_INLINE_FUNCTION static float before(Row const&, CorrectionRow const& at, int i) {
+    return i > 0 ? at.here[i - 1] : at.left;
+  }
+  KOKKOS_INLINE_FUNCTION static float after(Row const& row, CorrectionRow const& at, int i) {
+    return i + 1 < row.cells ? at.here[i + 1] : at.right;
+  }
+  /// The sum over the neighbours of a cut cell.
+  KOKKOS_INLINE_FUNCTION float sum(Row const& row, CorrectionRow const& at, CutPlace const& cut) const {
+    int const i = cut.place;
+    return (cut.weight[0] * before(row, at, i) + cut.weight[1] * after(row, at, i)) +
+           (cut.weight[2] * at.beside[0][i] + cut.weight[3] * at.beside[1][i]) +
+           (cut.weight[4] * at.beside[2][i] + cut.weight[5] * at.beside[3][i]);
+  }
   /// The weighted sum over the neighbours of a cell.
   KOKKOS_INLINE_FUNCTION float sum(Row const& row, CorrectionRow const& at, int i) const {
-    float const before = i > 0 ? at.here[i - 1] : at.left, after = i + 1 < row.cells ? at.here[i + 1] : at.right;
-    return weighted_sum(weight, before + after, at.beside[0][i] + at.beside[1][i], at.beside[2][i] + at.beside[3][i]);
+    return weighted_sum(weight, before(row, at, i) + after(row, at, i), at.beside[0][i] + at.beside[1][i], at.beside[2][i] + at.beside[3][i]);
   }
 };
 

@@ -68,7 +68,7 @@ void Sweep::prolong(std::size_t block, int k, RowChoice const& rows, Parents con
   CellBlock const& b = layout_.blocks()[block];
   with_kind(b.lanes, true, [&](auto lanes, auto) {
     for_each_row(block, k, rows, [&](Row const& row, int j) {
-      matrixfree::prolong<lanes()>(parents, j, k - b.box.lower[2], row, coarse.data(), set, r.data(), e.data(),
+      matrixfree::prolong<lanes()>(parents, j, k - b.box.lower[2], table_, row, coarse.data(), set, r.data(), e.data(),
                                    Thread{});
     });
   });

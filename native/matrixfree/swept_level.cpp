@@ -17,17 +17,24 @@ LevelFaces faces_of_blocks(Level const& level, Layout const& layout, std::size_t
   return out;
 }
 
+std::vector<Box> boxes_of(Layout const& layout) {
+  std::vector<Box> out;
+  for (CellBlock const& block : layout.blocks()) out.push_back(block.box);
+  return out;
+}
+
 }  // namespace
 
 SweptLevel::SweptLevel(Communicator const& comm, std::shared_ptr<Level const> level, GhostRules const& rules,
-                       Faces const& boundary, Real shift, Relaxation const& relaxation, int halo)
+                       Faces const& boundary, Real shift, Relaxation const& relaxation, int halo, Metal const* metal)
     : level_(std::move(level)),
       scale_(smallest_spacing(*level_) * smallest_spacing(*level_)),
       is_thin_(halo == 1),
       layout_(*level_, halo, rules.seams()),
       faces_(faces_of_blocks(*level_, layout_, is_thin_ ? layout_.own_blocks() : layout_.blocks().size())),
       stencil_(*level_, layout_, faces_, rules, scaled(equation_on(level_->spacing(), shift), scale_),
-               relaxation.factor, is_nearly_free(*level_, boundary, shift)),
+               relaxation.factor, !metal && is_nearly_free(*level_, boundary, shift),
+               metal ? metal->cells(*level_, boxes_of(layout_)) : MetalCells{}),
       sweep_(layout_, stencil_),
       r_(layout_.size()),
       e_(layout_.size()) {

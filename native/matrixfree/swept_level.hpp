@@ -43,9 +43,10 @@ class SweptLevel {
  public:
   /// `shift`: of the Equation; `halo`: how deep the copies of other ranks' cells are. With deep ones all ranks sweep
   /// over them too, and messages are few; those of one layer are brought before each half of a sweep, which takes a
-  /// fraction of the bytes and no work beside that on own cells. `boundary`: of the domain. Collective.
+  /// fraction of the bytes and no work beside that on own cells. `boundary`: of the domain; `metal`: null if there is
+  /// none. Collective.
   SweptLevel(Communicator const& comm, std::shared_ptr<Level const> level, GhostRules const& rules,
-             Faces const& boundary, Real shift, Relaxation const& relaxation, int halo);
+             Faces const& boundary, Real shift, Relaxation const& relaxation, int halo, Metal const* metal = nullptr);
   SweptLevel(SweptLevel const&) = delete;  // the sweeps refer to the layout
   SweptLevel& operator=(SweptLevel const&) = delete;
 

@@ -19,4 +19,7 @@ void* take_block(std::size_t bytes) { return pool().take(bytes); }
 void give_block(void* block) noexcept { pool().give(block); }
 std::size_t idle_bytes() { return pool().idle(); }
 
+ReservedMemory::ReservedMemory(std::size_t bytes) : bytes_(bytes) { pool().reserve(bytes); }
+ReservedMemory::~ReservedMemory() { pool().end_reserve(bytes_); }
+
 }  // namespace amrpic

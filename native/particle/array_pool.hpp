@@ -17,6 +17,17 @@ void give_block(void* block) noexcept;
 /// Bytes that are kept to be taken again.
 std::size_t idle_bytes();
 
+/// As long as this lives, so many more bytes are kept to be taken again: for what is done now and then.
+class ReservedMemory {
+ public:
+  explicit ReservedMemory(std::size_t bytes);
+  ~ReservedMemory();
+  ReservedMemory(ReservedMemory const&) = delete;
+
+ private:
+  std::size_t bytes_;
+};
+
 /// Values that are needed for a while, not set.
 template <class T>
 class Scratch {

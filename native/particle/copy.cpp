@@ -32,7 +32,7 @@ using Move = Places::Move;
 std::vector<Column> columns_of(ParticleView const& from, ParticleView const& to) {
   std::vector<Column> out;
   for (int d = 0; d < 3; ++d) out.push_back({from.position[d], to.position[d], false, false});
-  for (int d = 0; d < 3; ++d) out.push_back({from.momentum[d], to.momentum[d], true, false});
+  for (int d = 0; d < 3 && to.momentum[0]; ++d) out.push_back({from.momentum[d], to.momentum[d], true, false});
   out.push_back({reinterpret_cast<Real const*>(from.id), reinterpret_cast<Real*>(to.id), false, false});
   if (!to.equal_weights) out.push_back({from.weight, to.weight, false, false});
   for (Column& column : out) column.far = are_far(to.count, column.to);

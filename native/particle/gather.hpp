@@ -3,6 +3,7 @@
 #include <array>
 
 #include "mesh/electric_field.hpp"
+#include "particle/callers_columns.hpp"
 #include "particle/clouds.hpp"
 #include "particle/particle_mesh.hpp"
 #include "particle/remote_bricks.hpp"
@@ -20,5 +21,10 @@ namespace amrpic {
 /// outside the box it is sorted into.
 void gather(ParticleMesh& mesh, RemoteBricks const& remote, Clouds const& clouds, ElectricField const& field,
             ParticleView const& particles, std::int64_t const* starts, std::array<Real*, 3> const& at_particles);
+
+/// Write what `gather` finds to the places that a caller has for the particles. Collective.
+void gather_into_places(ParticleMesh& mesh, RemoteBricks const& remote, Clouds const& clouds,
+                        ElectricField const& field, ParticleView const& particles, std::int64_t const* starts,
+                        CallersPlaces const& to, std::array<Real*, 3> const& out);
 
 }  // namespace amrpic

@@ -181,8 +181,10 @@ void unpack_rows(std::vector<std::int64_t> const& words, Arrivals const& arrival
   auto const take = [&](auto const& row) {
     if (done == arrivals.portions()[portion].count) ++portion, done = 0;
     std::int64_t const n = places[portion] + done++;
-    for (std::size_t d = 0; d < 3; ++d)
-      out.position[d][n] = real_of(row[position + d]), out.momentum[d][n] = real_of(row[momentum + d]);
+    for (std::size_t d = 0; d < 3; ++d) {
+      out.position[d][n] = real_of(row[position + d]);
+      if (out.momentum[d]) out.momentum[d][n] = real_of(row[momentum + d]);
+    }
     out.id[n] = std::int64_t(row[id]);
     if constexpr (columns > weight)
       if (!out.equal_weights) out.weight[n] = real_of(row[weight]);

@@ -68,10 +68,12 @@ constexpr std::array<Real, 2> steps_behind_gaps{1.0, 1.8};
 
 Backend::Backend(Problem const& problem)
     : problem_(checked(problem)),
-      composite_(problem.hierarchy, shift_of(problem.options), problem.options.stretch, problem.options.order),
+      composite_(problem.hierarchy, shift_of(problem.options), problem.options.stretch, problem.options.order,
+                 problem.metal.get()),
       cycle_(problem.hierarchy->comm(), *problem.hierarchy, shift_of(problem.options),
              {problem.options.pre_sweeps, problem.options.post_sweeps, problem.options.relaxation},
-             problem.options.order, composite_.mesh().plan().gap_fits, problem.options.most_direct_readers),
+             problem.options.order, composite_.mesh().plan().gap_fits, problem.options.most_direct_readers,
+             problem.metal.get()),
       scale_(std::size_t(levels())),
       residual_(blocks(&matrixfree::SweptLevel::right_hand_side)),
       correction_(blocks(&matrixfree::SweptLevel::correction)),
@@ -114,7 +116,9 @@ void Backend::start(Field& phi, bool is_zero) {
   accelerated_ = false;
   cycles_ = 0;
   corrections_.clear();
-  if (!is_zero) composite_.average_down(phi);
+  if (is_zero) return;
+  composite_.fill_metal(problem_.potentials, phi);
+  composite_.average_down(phi);
 }
 
 Real Backend::residual() {

@@ -21,6 +21,8 @@ struct Problem {
   std::shared_ptr<Hierarchy const> hierarchy;  ///< in stretched coordinates
   SolverOptions const& options;
   std::vector<Walls> const& walls;  ///< of each level, with their data
+  std::shared_ptr<Metal const> metal = nullptr;  ///< null if there are no electrodes
+  std::vector<Real> const& potentials;           ///< of these, V
 };
 
 /// One execution of the equations f - L phi = 0 (see Equation) over all levels at once, and of the cycle that improves
@@ -36,7 +38,7 @@ class Backend {
   Backend& operator=(Backend const&) = delete;
 
   /// Make f of a charge density (C/m^3), which is kept as long as the solve lasts, and of the walls' data.
-  void set_right_hand_side(Field const& rho) { source_.emplace(Source{rho, problem_.walls}); }
+  void set_right_hand_side(Field const& rho) { source_.emplace(Source{rho, problem_.walls, {}, problem_.potentials}); }
   IntegralOfSource integrate_right_hand_side() { return composite_.integrate_right_hand_side(*source_); }
   /// From f, in place of what was taken away before.
   void take_away(Background const& background) { source_->background = background; }
@@ -57,11 +59,15 @@ class Backend {
   /// Estimate of the largest error of phi that the mesh makes, V; 0 if it cannot be estimated, or not yet.
   virtual Real discretisation_error();
   /// Leave in phi what was found, means of the children in covered cells.
-  virtual void finish() {}
+  virtual void finish() { composite_.fill_metal(problem_.potentials, *phi_); }
+  /// See CompositeResidual, for a potential that is averaged down.
+  void for_each_charge(Field const& phi, CompositeResidual::OfCharge const& f) {
+    composite_.for_each_charge(phi, problem_.walls, problem_.potentials, f);
+  }
 
   /// E, -(1/s_d^2) d phi/dx_d (V/m); the potential must stay as it is.
   ElectricField electric_field(std::shared_ptr<Field const> potential, CoveredField covered) {
-    return composite_.electric_field(std::move(potential), problem_.walls, covered);
+    return composite_.electric_field(std::move(potential), problem_.walls, covered, problem_.potentials);
   }
 
   /// The period of the step lengths, in cycles. Only a whole period reduces all error components equally.

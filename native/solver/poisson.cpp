@@ -12,6 +12,7 @@
 #include "operators/semicoarse.hpp"
 #include "solver/compressed_rows.hpp"
 #include "solver/kokkos_backend.hpp"
+#include "solver/metal_room.hpp"
 #include "solver/net_charge.hpp"
 
 namespace amrpic {
@@ -28,14 +29,17 @@ std::string scientific(Real value) {
 }  // namespace
 
 PoissonSolver::PoissonSolver(std::shared_ptr<Hierarchy const> hierarchy, SolverOptions const& options,
-                             Reusable const& reusable)
+                             Reusable const& reusable, std::shared_ptr<Metal const> metal)
     : given_(std::move(hierarchy)),
       hierarchy_((options.across.axis < 0 ? given_ : given_->opened(options.across.axis))->stretched(options.stretch)),
       options_(options),
-      reusable_(reusable) {
+      reusable_(reusable),
+      metal_(std::move(metal)),
+      potentials_(metal_ ? std::size_t(metal_->electrodes()) : 0) {
+  if (metal_) require_room_around(*metal_, *hierarchy_, options_.stretch);
   for (int l = 0; l < hierarchy_->level_count(); ++l)
     walls_.push_back(find_walls(hierarchy_->domain(), hierarchy_->level(l)));
-  Problem const problem{hierarchy_, options_, walls_};
+  Problem const problem{hierarchy_, options_, walls_, metal_, potentials_};
   if (options_.backend == BackendKind::crs)
     backend_ = make_crs_backend(problem, reusable_);
   else if (options_.backend == BackendKind::kokkos)
@@ -100,6 +104,40 @@ void PoissonSolver::continue_walls(freespace::PerFace const& potentials) {
   }
 }
 
+std::vector<Real> PoissonSolver::charges(Field const& phi) {
+  std::vector<Real> out(potentials_.size());
+  backend_->for_each_charge(phi, [&](int, std::size_t, int electrode, Real charge) { out[std::size_t(electrode)] += charge; });
+  hierarchy_->comm().sum_each(out);
+  return out;
+}
+
+/// The potential at open faces of the charge on electrodes in free space, V. Collective.
+std::vector<Real> PoissonSolver::of_induced_charge(Field const& phi) {
+  Field density(given_);
+  backend_->for_each_charge(phi, [&](int l, std::size_t place, int, Real charge) {
+    density.level(l)[place] += charge / given_->level(l).cell_volume();
+  });
+  auto const& options = reusable_.free_space->options();
+  auto const charges = freespace::charges_of(density, *hierarchy_, 1 / vacuum_permittivity, options);
+  auto const values = reusable_.free_space->walls(*wall_plan_, charges, freespace::Which::all);
+  std::vector<Real> out;
+  for (OpenFace const& open : open_faces_) out.push_back(values[open.places[0]]);
+  return out;
+}
+
+/// Let open faces see the charge on electrodes, beside all other, as it is after a cycle. Collective.
+void PoissonSolver::update_induced_charge(Field const& phi) {
+  auto const value = of_induced_charge(phi);
+  of_induced_.resize(value.size());
+  induced_change_ = fixed_point_.next(of_induced_, value, hierarchy_->comm());
+  show_induced_charge();
+}
+
+void PoissonSolver::show_induced_charge() {
+  for (std::size_t i = 0; i < of_induced_.size(); ++i)
+    walls_[open_faces_[i].level].datum[open_faces_[i].face] = of_charge_[i] + of_induced_[i];
+}
+
 void PoissonSolver::set_open_walls(Field const& rho, freespace::Which which) {
   auto charges = freespace::charges_of(rho, *hierarchy_, 1 / vacuum_permittivity, reusable_.free_space->options());
   auto box = charges.begin();
@@ -111,6 +149,7 @@ void PoissonSolver::set_open_walls(Field const& rho, freespace::Which which) {
   for (std::size_t b = 0; b < wall_charges_.size(); ++b)
     charges[b].added.insert(charges[b].added.end(), wall_charges_[b].begin(), wall_charges_[b].end());
   auto const values = reusable_.free_space->walls(*wall_plan_, charges, which);
+  of_charge_.resize(open_faces_.size());
   for (std::size_t i = 0; i < open_faces_.size(); ++i) {
     auto const& [level, face, places] = open_faces_[i];
     auto const value = [&, &places = places](std::size_t n) {
@@ -118,6 +157,7 @@ void PoissonSolver::set_open_walls(Field const& rho, freespace::Which which) {
     };
     walls_[level].datum[face] = value(0);
     if (options_.order == 4) walls_[level].second[face] = value(1);
+    of_charge_[i] = value(0);
   }
 }
 
@@ -248,6 +288,7 @@ void PoissonSolver::iterate(SolveReport& report, Field& phi, bool from_zero, Rea
   else
     report.mesh_error = {};
   backend_->start(phi, from_zero);
+  constexpr int updates = 2;  // cycles after which open faces see the charge that these left on electrodes; one is too few
   constexpr Real hopeless = 1e10;  // residual of a guess that is of another order of magnitude than the answer
   // Cycles in a row that hardly moved the residual; since it was last well below all before; and that lowest one.
   int stuck = 0, since_lowest = 0;
@@ -260,8 +301,10 @@ void PoissonSolver::iterate(SolveReport& report, Field& phi, bool from_zero, Rea
       residual = backend_->residual() / size;
     }
     report.residuals.push_back(residual);
-    if (residual <= options_.tolerance) return finish(true, "tolerance reached");
-    if (residual * size <= options_.absolute_tolerance) return finish(true, "absolute tolerance reached");
+    if (!(induced_change_ > std::max(options_.tolerance, residual))) {
+      if (residual <= options_.tolerance) return finish(true, "tolerance reached");
+      if (residual * size <= options_.absolute_tolerance) return finish(true, "absolute tolerance reached");
+    }
     if (!std::isfinite(residual)) return finish(false, "the residual is not finite");
     // Of a potential that little holds, what corrections in single precision round is that large at first.
     if (residual > 1e6 * std::max(report.residuals.front(), Real(1)) && residual > 1e10 * rounding_floor() / size)
@@ -292,6 +335,7 @@ void PoissonSolver::iterate(SolveReport& report, Field& phi, bool from_zero, Rea
     if (report.cycles == options_.max_cycles)
       return finish(false, "no convergence in " + std::to_string(options_.max_cycles) + " cycles");
     backend_->improve();
+    if (sees_metal() && report.cycles % updates == updates - 1) stopwatch_.time("open boundary", [&] { update_induced_charge(phi); });
     if (options_.to_discretisation) {
       correction_before_ = report.cycles > 0 ? latest_correction_ : std::numeric_limits<Real>::infinity();
       latest_correction_ = backend_->largest_correction();
@@ -341,11 +385,22 @@ SolveReport PoissonSolver::solve(Field const& rho, Field& phi, bool from_zero, M
   using freespace::Which;
   Which const which = options_.across.axis < 0 ? Which::all : images ? Which::against : Which::with;
   if (wall_plan_) stopwatch_.time("open boundary", [&] { set_open_walls(rho, which); });
+  if (sees_metal()) {
+    fixed_point_.clear();
+    of_induced_.clear();
+    induced_change_ = 0;
+    if (!from_zero) {
+      stopwatch_.time("open boundary", [&] {
+        of_induced_ = of_induced_charge(phi);
+        show_induced_charge();
+      });
+    }
+  }
   std::optional<Field> nothing;
   if (images) nothing.emplace(rho.share_hierarchy());
   backend_->set_right_hand_side(images ? *nothing : rho);
   Removed removed{0, 0};
-  bool const leaves_mean = is_mean_left_free(hierarchy_->level(0), hierarchy_->domain().boundary, shift_of(options_));
+  bool const leaves_mean = !metal_ && is_mean_left_free(hierarchy_->level(0), hierarchy_->domain().boundary, shift_of(options_));
   if (leaves_mean) {
     removed = remove_net_charge(rho, deposited);
     if (!from_zero && options_.screening > 0) set_mean(phi, 0);

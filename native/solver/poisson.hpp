@@ -7,6 +7,7 @@
 
 #include "mesh/field.hpp"
 #include "solver/backend.hpp"
+#include "solver/fixed_point.hpp"
 #include "solver/reusable.hpp"
 #include "solver/wall_charges.hpp"
 #include "stencil/fourth_order.hpp"
@@ -43,13 +44,18 @@ struct SolveReport {
 /// which everything below lives.
 class PoissonSolver {
  public:
-  /// `reusable`, if any, comes from a solver of the same options. Collective.
-  PoissonSolver(std::shared_ptr<Hierarchy const> hierarchy, SolverOptions const& options, Reusable const& reusable);
+  /// `reusable`, if any, comes from a solver of the same options; `metal`: null if there are no electrodes. Collective.
+  PoissonSolver(std::shared_ptr<Hierarchy const> hierarchy, SolverOptions const& options, Reusable const& reusable,
+                std::shared_ptr<Metal const> metal = nullptr);
   PoissonSolver(PoissonSolver const&) = delete;  // the cycle refers to the operators
   PoissonSolver& operator=(PoissonSolver const&) = delete;
 
   /// The wall faces of a level on this rank; their Dirichlet and Neumann data may be set before a solve.
   Walls& walls(int level) { return walls_[level]; }
+  /// The potentials of electrodes, V, zero before; a solve goes by them.
+  void set_potentials(std::vector<Real> const& potentials) { potentials_ = potentials; }
+  /// The charge on each electrode, C, in the potential that a solve left. Collective.
+  std::vector<Real> charges(Field const& phi);
   /// Let open faces see the data that walls beside them hold now. Beyond its face a Dirichlet wall is at one of these
   /// potentials (V), wherever it goes on, and a Neumann wall has no slope. Local.
   void continue_walls(freespace::PerFace const& potentials);
@@ -85,6 +91,9 @@ class PoissonSolver {
  private:
   void plan_open_walls();
   void set_open_walls(Field const& rho, freespace::Which which);
+  std::vector<Real> of_induced_charge(Field const& phi);
+  void update_induced_charge(Field const& phi);
+  void show_induced_charge();
   struct Removed {
     Real mean;      ///< of f
     Real rounding;  ///< how large what is left may be by the rounding of what cancelled in it alone
@@ -93,6 +102,7 @@ class PoissonSolver {
   Real volume() const;
   bool is_finite(Field const& phi) const;
   void set_mean(Field& phi, Real mean) const;
+  bool sees_metal() const { return metal_ && wall_plan_; }
   Real rounding_floor() const;
   void check_size(Real right_hand_side) const;
   void iterate(SolveReport& report, Field& phi, bool from_zero, Real largest, Real rounding);
@@ -106,6 +116,12 @@ class PoissonSolver {
   SolverOptions options_;
   Reusable reusable_;
   std::vector<Walls> walls_;
+  std::shared_ptr<Metal const> metal_;
+  std::vector<Real> potentials_;
+  // Potentials at open faces, V: of the charge on electrodes, and of all other.
+  std::vector<Real> of_induced_, of_charge_;
+  FixedPoint fixed_point_;
+  Real induced_change_ = 0;  ///< of what open faces see of electrodes by the latest cycle, relative
   struct OpenFace {
     int level;
     std::size_t face;  ///< of the level's walls

@@ -11,8 +11,9 @@ import pytest
 from mpi4py import MPI
 
 import amrpic
+from amrpic import _native
 from amrpic.units import ELEMENTARY_CHARGE, PROTON_MASS, SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
-from exact_fields import ellipsoid_field, gaussian_field, quiet_ellipsoid, quiet_gaussian
+from exact.bunches import ellipsoid_field, gaussian_field, quiet_ellipsoid, quiet_gaussian
 
 CHARGE = 1e-9  # C, of a bunch
 SIZES = np.array([1e-3, 1e-3, 2e-3])
@@ -270,6 +271,13 @@ def test_many_calls_need_no_more_memory(long):
         if call >= 40:
             held.append(resident())
     assert held[-1] < held[0] + 8e6
+
+
+def test_the_memory_of_a_call_is_kept_for_the_next():
+    charges, places = engine(), bunch(100_000)
+    for _ in range(2):
+        charges.field(*places.T, CHARGE)
+    assert _native.idle_bytes() > 10 * 8 * len(places)
 
 
 def resident() -> int:

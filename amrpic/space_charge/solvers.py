@@ -1,27 +1,36 @@
-"""The solvers of a run's self-field, kept by frame as long as their mesh."""
+"""The solvers of a self-field, kept by frame as long as their mesh."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from ..errors import SolverError
-from ..mesh.field import Field, VectorField
+from ..mesh.field import Field, Function, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.mirror import Mirror
 from ..particles.energy_bins import Frames
 from ..particles.frame import LABORATORY, Frame
-from ..scene.scene import Scene
+from ..scene.solver_options import SolverSection
 from ..stages.poisson import PoissonSolver, SolveReport
-from .remarks import Remarks
 
 Potential = tuple[Field, VectorField]  # φ, V, and E, V/m
 
 
 class Solvers:
-    """Solves for potentials as a scene asks for it, and keeps the reports."""
+    """Solves for potentials, and keeps the reports.
 
-    def __init__(self, scene: Scene, remarks: Remarks) -> None:
-        self._options, self._remarks = scene.solver, remarks
-        self._background = None if scene.background == "none" else scene.background
-        self._potential, self._slope = scene.domain.wall_functions()
+    `walls`: what these hold, potential (V) and slope of it (V/m). `remark`: is given a sentence on what may not be meant.
+    """
+
+    def __init__(
+        self,
+        options: SolverSection,
+        background: str | None = None,
+        walls: tuple[Function | None, Function | None] = (None, None),
+        remark: Callable[[str], None] = lambda sentence: None,
+    ) -> None:
+        self._options, self._background, self._remark = options, background, remark
+        self._potential, self._slope = walls
         self._kept: dict[tuple[Frame, bool], PoissonSolver] = {}
         self._walls: Potential | None = None
         self._reports: list[SolveReport] = []
@@ -35,7 +44,7 @@ class Solvers:
         """
         options = self._options
         if frame != LABORATORY:
-            options = options.model_copy(update={"stretch": frame.stretch})
+            options = options.model_copy(update={"stretch": self.stretch(frame)})
         solver = self._kept.get((frame, part))
         if solver is not None and solver.hierarchy is hierarchy and solver.mirror == mirror:
             return solver
@@ -49,6 +58,10 @@ class Solvers:
             hierarchy, options=options, background=background, mirror=mirror, reuse=reuse
         )
         return self._kept[frame, part]
+
+    def stretch(self, frame: Frame) -> tuple[float, float, float]:
+        """Return what lengths are multiplied by where the equation of charge that rests in a frame is Poisson's."""
+        return self._options.stretch if frame == LABORATORY else frame.stretch
 
     def keep(self, frames: Frames) -> None:
         """Free the solvers of other frames."""
@@ -84,7 +97,7 @@ class Solvers:
         self._reports.append(report)
         self._require_converged(report)
         if report.floor > 0:
-            self._remarks.remark(
+            self._remark(
                 f"solver.tolerance {self._options.tolerance} lies below what rounding leaves of the residual, about "
                 f"{max(report.residuals[-1], report.floor):.0e}; solves stop there"
             )

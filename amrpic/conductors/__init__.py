@@ -1,0 +1,1 @@
+"""Conductors on a mesh: which cells lie in metal, and where arms between cell centres meet it."""

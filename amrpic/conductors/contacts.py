@@ -1,0 +1,121 @@
+"""Contacts: electrodes of different voltages that touch or overlap."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+
+from ..errors import InputError
+from ..shapes.spans import Floats, Ints, Spans
+from .conductor import Conductor
+
+# Lines per axis and direction across it by which two electrodes are compared.
+LINES = 64
+# Of where both can be: a gap below is none.
+TOUCH = 1e-9
+
+
+class Contact(NamedTuple):
+    """Two electrodes of different voltages that touch or overlap, and a place where they do, m."""
+
+    first: int
+    second: int
+    place: tuple[float, float, float]
+
+
+class LineSpans(NamedTuple):
+    """The spans of a shape on lines along an axis, whose parameter is the coordinate."""
+
+    axis: int
+    key: Ints  # (lines,) which line it is, each once
+    place: Floats  # (lines, 3) m
+    spans: Spans
+
+
+def refuse_contacts(electrodes: Sequence[Conductor]) -> None:
+    """Raise InputError if electrodes of different voltages touch or overlap; alike on all ranks, without a mesh."""
+    for pair in apart(electrodes):
+        place = meeting(*(electrodes[number] for number in pair))
+        if place is not None:
+            raise InputError(sentence(electrodes, Contact(*pair, place)))
+
+
+def sentence(electrodes: Sequence[Conductor], contact: Contact) -> str:
+    """Return why electrodes that touch are refused."""
+    one, other = (electrodes[number].name for number in contact[:2])
+    x, y, z = contact.place
+    return (
+        f"electrodes {one} and {other} touch at ({x:.6g}, {y:.6g}, {z:.6g}) m and have different voltages; "
+        "move them apart, or give them the same voltage"
+    )
+
+
+def apart(electrodes: Sequence[Conductor]) -> Iterator[tuple[int, int]]:
+    """Yield the numbers of each two electrodes that may not touch."""
+    for one, other in combinations(range(len(electrodes)), 2):
+        voltage = electrodes[one].voltage
+        if voltage is None or voltage != electrodes[other].voltage:
+            yield one, other
+
+
+def contacts(electrodes: Sequence[Conductor], lines: Sequence[Sequence[LineSpans]], slack: Floats) -> Iterator[Contact]:
+    """Yield a place for each two electrodes of different voltages that touch on lines along x, y and z.
+
+    Gaps of less than `slack` (3,), m, are none.
+    """
+    for one, other in apart(electrodes):
+        places = (touching(*pair, slack[pair[0].axis]) for pair in zip(lines[one], lines[other], strict=True))
+        place = next((place for place in places if place is not None), None)
+        if place is not None:
+            yield Contact(one, other, place)
+
+
+def meeting(one: Conductor, other: Conductor) -> tuple[float, float, float] | None:
+    """Return a place where two electrodes touch, looked for on lines through the box in which both can be."""
+    bounds = np.array([one.shape.bounds, other.shape.bounds])
+    lower, upper = bounds[:, 0].max(axis=0), bounds[:, 1].min(axis=0)
+    finite = np.abs(bounds[np.isfinite(bounds)])
+    size = float(finite.max(initial=0.0))
+    lower, upper = np.maximum(lower, -2 * size), np.minimum(upper, 2 * size)  # half spaces
+    if (lower > upper + TOUCH * size).any():
+        return None
+    shares = (np.arange(LINES) + 0.5) / LINES
+    for axis in range(3):
+        u, v = (a for a in range(3) if a != axis)
+        place = np.zeros((LINES, LINES, 3))
+        place[..., u] = (lower[u] + shares * (upper - lower)[u])[:, None]
+        place[..., v] = lower[v] + shares * (upper - lower)[v]
+        lines = place.reshape(-1, 3)
+        key = np.arange(len(lines))
+        first, second = (LineSpans(axis, key, lines, body.shape.spans(lines, axis)) for body in (one, other))
+        found = touching(first, second, TOUCH * size)
+        if found is not None:
+            return found
+    return None
+
+
+def touching(one: LineSpans, other: LineSpans, slack: float) -> tuple[float, float, float] | None:
+    """Return a place where the spans of two shapes on the same lines touch or overlap."""
+    both = np.intersect1d(one.key, other.key)
+    if not len(both):
+        return None
+    parts = []
+    for number, (_, keys, _, spans) in enumerate((one, other)):
+        chosen = np.flatnonzero(np.isin(keys, both)[spans.line])
+        line = spans.line[chosen]
+        parts.append((keys[line], spans.enter[chosen], spans.leave[chosen], line, np.full(len(line), number)))
+    key, enter, leave, line, owner = (np.concatenate(column) for column in zip(*parts, strict=True))
+    order = np.lexsort((enter, key))
+    key, enter, leave, line, owner = (column[order] for column in (key, enter, leave, line, owner))
+    # Spans of one shape are apart, so that those of two overlap only where neighbours in this order do.
+    near = (key[1:] == key[:-1]) & (owner[1:] != owner[:-1]) & (enter[1:] <= leave[:-1] + slack)
+    met = np.flatnonzero(near)
+    if not len(met):
+        return None
+    n = met[0] + 1
+    place = (one, other)[int(owner[n])].place[line[n]].copy()
+    place[one.axis] = enter[n] if np.isfinite(enter[n]) else leave[met[0]]
+    return float(place[0]), float(place[1]), float(place[2])

@@ -1,0 +1,74 @@
+"""Electrodes as a solver sees them: which cells of a level lie in metal, and which arms it cuts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from .. import _native
+from ..errors import InputError
+from ..mesh.domain import Domain
+from ..scene.electrodes import Electrode
+from .arms import Contact, arms_of_boxes, sentence
+
+Answer = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+class MetalOnMesh:
+    """Electrodes for a native solver, whose lengths are those of the domain times `stretch`."""
+
+    def __init__(self, electrodes: Sequence[Electrode], domain: Domain, stretch: Sequence[float] = (1, 1, 1)) -> None:
+        self._electrodes, self._domain, self._stretch = tuple(electrodes), domain, np.array(stretch, float)
+        self._contacts: list[Contact] = []
+        self._answers: dict[tuple, Answer] = {}  # what was asked before: a level is asked for twice
+
+    def native(self) -> _native.Metal:
+        """Return what a native solver asks; it keeps this object alive."""
+        return _native.Metal(len(self._electrodes), self._ask)
+
+    def finish(self) -> None:
+        """Forget what was asked. Raise InputError, if electrodes of different voltages touch where this rank has. Local."""
+        self._answers.clear()
+        if self._contacts:
+            raise InputError(sentence(self._electrodes, self._contacts[0]))
+
+    def _ask(self, lower: Sequence[int], shape: Sequence[int], spacing: Sequence[float]) -> Answer:
+        """Return solid cells and their electrodes, cut cells, their arms and the electrodes that cut these."""
+        key = (*lower, *shape, *spacing)
+        if key not in self._answers:
+            last = np.add(lower, shape) - 1
+            arms, contacts = arms_of_boxes(
+                self._electrodes, [[*lower, *last]], self._domain.lower, np.divide(spacing, self._stretch)
+            )
+            self._contacts += contacts
+            self._answers[key] = (
+                np.asarray(arms.solid, np.int64),
+                np.asarray(arms.solid_electrode, np.int32),
+                np.asarray(arms.cell, np.int64),
+                np.ascontiguousarray(arms.theta, float),
+                np.ascontiguousarray(arms.electrode, np.int32),
+            )
+        return self._answers[key]
+
+
+def image_refusal(electrodes: Sequence[Electrode], domain: Domain) -> str | None:
+    """Return why electrodes at periodic faces are refused, and what to do: metal has to go on alike through them."""
+    spacing = np.subtract(domain.upper, domain.lower) / domain.cells
+    for axis, faces in enumerate(domain.boundary):
+        if faces[0] != "periodic":
+            continue
+        layers = []  # of cells inside and outside, at both faces
+        for index in (-1, 0, domain.cells[axis] - 1, domain.cells[axis]):
+            first, last = np.zeros(3, int), np.array(domain.cells) - 1
+            first[axis] = last[axis] = index
+            arms, _ = arms_of_boxes(electrodes, [[*first, *last]], domain.lower, spacing)
+            layers.append(arms)
+        for inside, outside in ((layers[1], layers[3]), (layers[2], layers[0])):
+            same = np.array_equal(inside.solid, outside.solid) and np.array_equal(inside.cell, outside.cell)
+            if not same or not np.allclose(inside.theta, outside.theta, atol=1e-6):
+                return (
+                    f"an electrode meets a periodic face across {'xyz'[axis]}, beyond which it does not go on as at the other "
+                    "one; let it pass through both alike, or end a cell before them"
+                )
+    return None

@@ -1,0 +1,43 @@
+#include "bind/bind.hpp"
+#include "bind/convert.hpp"
+#include "geometry/triangles.hpp"
+
+namespace nb = nanobind;
+using namespace amrpic;
+using namespace nb::literals;
+
+namespace {
+
+using Weights = nb::ndarray<int const, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+
+}  // namespace
+
+void bind_geometry(nb::module_& m) {
+  nb::class_<Triangles>(m, "Triangles", "A closed surface of triangles, searched by a hierarchy of boxes.")
+      .def(
+          "__init__",
+          [](Triangles* self, bind::RealRows corners, Weights weight) {
+            std::vector<Triangles::Corners> triangles(corners.shape(0));
+            for (std::size_t n = 0; n < triangles.size(); ++n)
+              for (std::size_t c = 0; c < 9; ++c) triangles[n][c / 3][c % 3] = corners(n, c);
+            std::vector<int> weights(weight.data(), weight.data() + weight.size());
+            nb::gil_scoped_release release;
+            new (self) Triangles(std::move(triangles), std::move(weights));
+          },
+          "corners"_a, "weight"_a)
+      .def(
+          "crossings",
+          [](Triangles const& triangles, bind::RealRows start, bind::RealRows direction) {
+            LineCrossings found;
+            {
+              nb::gil_scoped_release release;
+              found = triangles.crossings(start.data(), direction.data(), std::int64_t(start.shape(0)));
+            }
+            return nb::make_tuple(bind::to_array(std::move(found.line)), bind::to_array(std::move(found.parameter)),
+                                  bind::to_array(std::move(found.depth)), bind::to_array(std::move(found.triangle)),
+                                  bind::to_array(std::move(found.grazing)));
+          },
+          "start"_a, "direction"_a,
+          "Line, parameter, change of depth and triangle of each crossing, line by line, and the lines that pass edges "
+          "within rounding; arguments are rows of x, y, z.");
+}

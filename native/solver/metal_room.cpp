@@ -1,0 +1,83 @@
+#include "solver/metal_room.hpp"
+
+#include <cstdio>
+#include <limits>
+
+#include "base/error.hpp"
+
+namespace amrpic {
+
+namespace {
+
+constexpr int room = 2;  ///< cells, of either level, between a cut cell and a face between levels
+
+/// Whether a finer level, or the end of this one, comes too near to a cell.
+bool meets_other_level(Level const& level, Level const* finer, Index3 const& cell) {
+  Box const around = level.cut_at_walls(Box{cell, cell}.grow(room));
+  if (level.cells_in(around) < around.cells()) return true;
+  bool const is_covered = finer && finer->find(first_child_of(level.wrapped(cell))) >= 0;
+  return finer && !is_covered && finer->intersects(around.refine(refinement_ratio));
+}
+
+bool is_at_open_face(Hierarchy const& hierarchy, Level const& level, Index3 const& cell) {
+  for (int d = 0; d < 3; ++d)
+    for (int side = 0; side < 2; ++side)
+      if (hierarchy.domain().boundary[d][side] == Boundary::open &&
+          cell[d] == (side == 0 ? level.domain().lower : level.domain().upper)[d])
+        return true;
+  return false;
+}
+
+/// The first of this rank's cells in or beside metal, level by level, that is refused; its number among all cells.
+template <class Refused>
+GlobalIndex first_refused(std::vector<CutCell> const& cut, std::vector<SolidCell> const& solid, Level const& level,
+                          Refused&& refused) {
+  GlobalIndex out = std::numeric_limits<GlobalIndex>::max();
+  auto const look = [&](Index3 const& cell) {
+    int const b = level.find(cell);
+    if (b >= 0 && level.owner(b) == level.rank() && refused(cell)) out = std::min(out, level.domain().offset(cell));
+  };
+  for (CutCell const& c : cut) look(c.cell);
+  for (SolidCell const& c : solid) look(c.cell);
+  return out;
+}
+
+std::string place_of(Hierarchy const& hierarchy, Level const& level, GlobalIndex number, Real3 const& stretch) {
+  Box const& domain = level.domain();
+  GlobalIndex const nx = domain.extent(0), ny = domain.extent(1);
+  GlobalIndex const cell[3] = {number % nx, number / nx % ny, number / nx / ny};
+  Real x[3];
+  for (int d = 0; d < 3; ++d)
+    x[d] = (hierarchy.domain().lower[d] + (Real(cell[d]) + 0.5) * level.spacing()[d]) / stretch[d];
+  char out[120];
+  std::snprintf(out, sizeof out, "(%.4g, %.4g, %.4g) m", x[0], x[1], x[2]);
+  return out;
+}
+
+}  // namespace
+
+void require_room_around(Metal const& metal, Hierarchy const& hierarchy, Real3 const& stretch) {
+  for (int l = 0; l < hierarchy.level_count(); ++l) {
+    Level const& level = hierarchy.level(l);
+    Level const* const finer = hierarchy.has_finer(l) ? &hierarchy.level(l + 1) : nullptr;
+    MetalCells const cells = metal.own_cells(level);
+    GlobalIndex const open = hierarchy.comm().smallest(
+        first_refused(cells.cut(), cells.solid(), level,
+                      [&](Index3 const& cell) { return is_at_open_face(hierarchy, level, cell); }));
+    if (open != std::numeric_limits<GlobalIndex>::max())
+      throw SolverError("an electrode meets an open face of the domain at " +
+                        place_of(hierarchy, level, open, stretch) +
+                        "; leave room between them, or give that face a potential");
+    bool const may_meet = finer || l > 0;
+    GlobalIndex const edge = hierarchy.comm().smallest(
+        first_refused(cells.cut(), {}, level,
+                      [&](Index3 const& cell) { return may_meet && meets_other_level(level, finer, cell); }));
+    if (edge != std::numeric_limits<GlobalIndex>::max())
+      throw SolverError("the surface of an electrode comes within " + std::to_string(room) +
+                        " cells of a face between levels " + std::to_string(l) + " and another at " +
+                        place_of(hierarchy, level, edge, stretch) +
+                        "; refine all of the surface to the same level, some cells beyond it");
+  }
+}
+
+}  // namespace amrpic

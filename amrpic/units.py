@@ -102,7 +102,7 @@ def quantity(value: float, unit: str, like: float | None = None) -> str:
 
 
 @dataclass(frozen=True)
-class Quantity:
+class Column:
     """A column of a table: its name, its unit, and whether it counts something or is a text instead of a number."""
 
     name: str

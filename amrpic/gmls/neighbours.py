@@ -23,7 +23,7 @@ GROWTH = 1.15  # how much longer the reach of a target becomes that its sites do
 EQUAL = 1 + 1e-9  # distances that rounding alone tells apart
 
 
-class Mesh(Protocol):
+class BoxMesh(Protocol):
     """Levels of boxes, as an `amrpic.Hierarchy` has them."""
 
     native: _native.Hierarchy
@@ -113,7 +113,7 @@ class Neighbours:
         return Neighbours(self.start, self.index[order], self.reach), representative, kind
 
 
-def cells(hierarchy: Mesh) -> tuple[np.ndarray, np.ndarray]:
+def cells(hierarchy: BoxMesh) -> tuple[np.ndarray, np.ndarray]:
     """Return centres and widths, (m, 3) each in m, of the cells of all levels, box by box, x fastest; covered ones too.
 
     They are numbered as `cells_around` numbers them, and as a field on one rank holds them, level after level.
@@ -137,7 +137,7 @@ def _refused_as_input() -> Iterator[None]:
         raise InputError(str(failure)) from None
 
 
-def cells_around(hierarchy: Mesh, points: ArrayLike, radius: ArrayLike) -> Neighbours:
+def cells_around(hierarchy: BoxMesh, points: ArrayLike, radius: ArrayLike) -> Neighbours:
     """Return the uncovered cells of all levels whose centres lie within a radius of points (n, 3), by index; in m.
 
     Cells are numbered as by `cells`. Neighbours end at the faces of the domain, periodic ones too. Not collective: boxes are
@@ -158,7 +158,7 @@ def cells_around(hierarchy: Mesh, points: ArrayLike, radius: ArrayLike) -> Neigh
     return replace(search(np.arange(len(places)), distances), search=search)
 
 
-def leaves_around(hierarchy: Mesh, reach: float) -> tuple[np.ndarray, Neighbours]:
+def leaves_around(hierarchy: BoxMesh, reach: float) -> tuple[np.ndarray, Neighbours]:
     """Return the uncovered cells of all levels (n,), and for each those within `reach` times its own longest edge.
 
     Cells are numbered as by `cells`. Neighbours end at the faces of the domain, periodic ones too. Cells with equal

@@ -27,7 +27,7 @@ UNDETERMINED, DEPENDENT, ONE_SIGN, NO_SIGN = 3, 4, 5, 6  # places in PATHS of st
 
 
 @dataclass
-class Solution:
+class SolvedWeights:
     """Weights and their judgements; arrays as in `Stencils` and `Quality`."""
 
     start: np.ndarray
@@ -39,8 +39,8 @@ class Solution:
 
 
 def merged(
-    parts: Sequence[tuple[np.ndarray, Solution]], count: int, room: Callable[[int], np.ndarray] | None = None
-) -> Solution:
+    parts: Sequence[tuple[np.ndarray, SolvedWeights]], count: int, room: Callable[[int], np.ndarray] | None = None
+) -> SolvedWeights:
     """Return the solution of `count` targets from parts, of ascending targets each; later parts replace earlier ones.
 
     room: gives the (entries, rows) to write weights to, where those of the first part may lie already if no later one of a
@@ -71,7 +71,7 @@ def merged(
         entries = slice(of.start[at], of.start[at + last - first])
         index[start[first] : start[last]] = of.index[entries]
         weights[start[first] : start[last]] = of.weights[entries]
-    return Solution(start, index, weights, exact, path, judgements)
+    return SolvedWeights(start, index, weights, exact, path, judgements)
 
 
 class Collected:
@@ -99,7 +99,7 @@ class Collected:
             self._index[:filled], self._weights[:filled] = old[0][:filled], old[1][:filled]
         return self._weights[filled:needed]
 
-    def add(self, solution: Solution) -> None:
+    def add(self, solution: SolvedWeights) -> None:
         """Take the solution of the next targets, whose weights are in the room already or not."""
         room = self.room(len(solution.index))
         if solution.weights.base is not self._weights:
@@ -115,10 +115,10 @@ class Collected:
         )
         self._targets = run.stop
 
-    def all(self) -> Solution:
+    def all(self) -> SolvedWeights:
         """Return the solution of all."""
         index, weights = (a[: int(self._start[-1])] for a in (self._index, self._weights))
-        return Solution(self._start, index, weights, self._exact, self._path, self._judgements)
+        return SolvedWeights(self._start, index, weights, self._exact, self._path, self._judgements)
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +153,7 @@ class Problem:
             present=self.present[targets],
         )
 
-    def solve(self, near: Neighbours, room: np.ndarray | None = None) -> Solution:
+    def solve(self, near: Neighbours, room: np.ndarray | None = None) -> SolvedWeights:
         """Return the stencils; the weights of those that cannot be determined hold anything.
 
         Weights are written to `room`, (entries, rows), where they are solved for all at once.
@@ -172,10 +172,10 @@ class Problem:
             solution = merged(parts, len(near))
         return self._expanded(solution) if self.split else solution
 
-    def _solve(self, near: Neighbours, kinds_present: np.ndarray, room: np.ndarray | None = None) -> Solution:
+    def _solve(self, near: Neighbours, kinds_present: np.ndarray, room: np.ndarray | None = None) -> SolvedWeights:
         """Solve with some of the exact rows; weights of the others' data are zero."""
         count, rows = len(self.targets), self.wanted[0]
-        out = Solution(
+        out = SolvedWeights(
             near.start,
             near.index,
             np.empty((len(near.index), rows)) if room is None else room,
@@ -215,7 +215,7 @@ class Problem:
             _merged(exact),
         )
 
-    def _expanded(self, solution: Solution) -> Solution:
+    def _expanded(self, solution: SolvedWeights) -> SolvedWeights:
         """Weights of whole vectors, from those of the scalar problem that all components share."""
         d = self.per_site
         weights = np.zeros((len(solution.index), d, 1 + max(row for row, _, _ in self.split)))
@@ -226,7 +226,7 @@ class Problem:
         exact = np.empty((len(solution.path), 0, weights.shape[2]))  # exact rows exist for scalar spaces alone
         return replace(solution, start=start, index=index, weights=by_sample, exact_weights=exact)
 
-    def require_one_sign(self, solution: Solution, near_reach: np.ndarray) -> None:
+    def require_one_sign(self, solution: SolvedWeights, near_reach: np.ndarray) -> None:
         """Replace weights by some of one sign off the centre; targets that have none are marked, and their weights NaN."""
         native = self._native(solution.start, solution.index, near_reach)
         for t in np.flatnonzero(solution.path < UNDETERMINED):
@@ -251,7 +251,7 @@ class Problem:
             else:
                 solution.weights[entries] = np.nan
 
-    def cause(self, solution: Solution, target: int) -> str:
+    def cause(self, solution: SolvedWeights, target: int) -> str:
         """Return why a target has no stencil, and what to do."""
         sites = self.sites[np.unique(solution.index[solution.start[target] : solution.start[target + 1]])]
         sites = np.unique(sites, axis=0)
@@ -391,7 +391,7 @@ def _of_components(rows: Sequence[Functional], components: int) -> tuple[list[Fu
     return scalars, split
 
 
-def _per_component(near: Neighbours | Solution, components: int) -> tuple[np.ndarray, np.ndarray]:
+def _per_component(near: Neighbours | SolvedWeights, components: int) -> tuple[np.ndarray, np.ndarray]:
     """Neighbours by number of sample, `components` of them for each site."""
     index = (near.index[:, None] * components + np.arange(components)).ravel()
     return near.start * components, index.astype(np.int32)

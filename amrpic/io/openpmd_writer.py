@@ -24,7 +24,7 @@ from ..particles.species import Species
 from . import shared_file
 from .openpmd_files import describe_file, set_text
 from .provenance import Provenance
-from .shared_file import Table
+from .shared_file import RowTable
 from .writer_ranks import BY_SIZE, Attempts, Writers
 
 ALIVE = 1  # of BeamPhysics's particleStatus
@@ -91,7 +91,7 @@ def write(
     shared_file.write(comm, path, tables, describe, attempts, writers)
 
 
-def _table(particles: Particles, chosen: Array, window: Window, own: Mapping[str, Array], charge: float) -> Table:
+def _table(particles: Particles, chosen: Array, window: Window, own: Mapping[str, Array], charge: float) -> RowTable:
     """Return those particles that are `chosen`, (n,) bool, as rows of records in the order of ids; `charge` of one in C."""
     vectors = [(f"{name}/{axis}", float) for name in ("position", "momentum") for axis in AXES]
     scalars = [("weighting", float), ("weight", float), ("id", np.uint64)]
@@ -112,7 +112,7 @@ def _table(particles: Particles, chosen: Array, window: Window, own: Mapping[str
             out[name] = column[numbers]
         return out
 
-    return Table(dtype, numbers, rows, list(keys))
+    return RowTable(dtype, numbers, rows, list(keys))
 
 
 def _describe(

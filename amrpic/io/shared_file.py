@@ -41,7 +41,7 @@ Array = NDArray[Any]
 PARTS, BYTES, SEALS = "amrpic/parts", "amrpic/part_bytes", "amrpic/part_sha256"
 
 
-class Table:
+class RowTable:
     """Rows of a structured type, of which only slices are ever made: a group with a dataset for each column.
 
     `order` names the columns by which rows are ordered, on each rank and then in each part.
@@ -166,7 +166,7 @@ def write_rows(
     for (name, rows), counts in zip(arrays.items(), table.T.tolist(), strict=True):
         created = attempts.attempt(_create, writer, name, rows, sum(counts)) if writer is not None else None
         store = partial(attempts.attempt, _store, created)
-        if isinstance(rows, Table):
+        if isinstance(rows, RowTable):
             merge(comm, group, counts, rows, rows.order, store)
         else:
             collect(comm, group, counts, rows, store)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError, OutputError
 from ..parallel import raise_together
-from ..units import Quantity
+from ..units import Column
 from .atomic_files import publish, temporary
 from .provenance import Provenance
 from .writer_ranks import Attempts, one_line
@@ -44,7 +44,7 @@ class Series:
         self,
         comm: MPI.Comm,
         path: Path,
-        columns: Sequence[Quantity],
+        columns: Sequence[Column],
         about: Provenance,
         keep_to_step: int | None = None,
     ) -> None:
@@ -115,7 +115,7 @@ def settle(comm: MPI.Comm, series: Iterable[Series]) -> None:
 def write(
     comm: MPI.Comm,
     path: Path,
-    columns: Sequence[Quantity],
+    columns: Sequence[Column],
     rows: Sequence[Mapping[str, float | str]],
     about: Provenance,
 ) -> None:
@@ -203,22 +203,22 @@ def _unreadable(path: Path, error: Exception) -> InputError:
     return InputError(f"series {path} cannot be read: {one_line(error)}; give a file that a run wrote")
 
 
-def _type(column: Quantity) -> str:
+def _type(column: Column) -> str:
     return "U64" if column.is_text else "i8" if column.counts else "f8"
 
 
-def _text(value: float | str, column: Quantity) -> str:
+def _text(value: float | str, column: Column) -> str:
     """Return a value so that it reads back bit for bit; texts are to be words."""
     if isinstance(value, str):
         return value
     return str(int(value)) if column.counts else repr(float(value))
 
 
-def _line(row: Mapping[str, float | str], columns: Sequence[Quantity]) -> str:
+def _line(row: Mapping[str, float | str], columns: Sequence[Column]) -> str:
     return ",".join(_text(row.get(column.name, 0), column) for column in columns) + "\n"
 
 
-def _publish(path: Path, columns: Sequence[Quantity], about: Provenance, rows: bytes) -> tuple[hashlib._Hash, int]:
+def _publish(path: Path, columns: Sequence[Column], about: Provenance, rows: bytes) -> tuple[hashlib._Hash, int]:
     """Write a table with these lines of rows, and what describes it, in place of what is there.
 
     Return the checksum of both, and the bytes of the table.
@@ -259,7 +259,7 @@ def _parsed(path: Path) -> tuple[list[bytes], NDArray[Any]]:
     return rows, values
 
 
-def _rows_to(path: Path, columns: Sequence[Quantity], step: int) -> bytes:
+def _rows_to(path: Path, columns: Sequence[Column], step: int) -> bytes:
     """Return the lines of a series up to a step."""
     lines, values = _parsed(path)
     if values.dtype != np.dtype([(column.name, _type(column)) for column in columns]):

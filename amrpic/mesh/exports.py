@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Part:
+class ExportedPart:
     """The values of a field in one box, from whatever rank."""
 
     level: int
@@ -40,7 +40,7 @@ class Gathered:
 
     hierarchy: Hierarchy
     unit: str
-    parts: list[Part]
+    parts: list[ExportedPart]
 
 
 def to_xarray(field: Gathered, level: int, name: str) -> xarray.DataArray:
@@ -121,7 +121,7 @@ class _Parents:
         self._boxes = hierarchy.boxes(level - 1) if level > 0 else None
         self._table = None if self._boxes is None else table_of(self._boxes)
 
-    def pieces(self, part: Part) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    def pieces(self, part: ExportedPart) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Yield the pieces of a part that lie within one of them each: yt hides what is covered by children of one parent."""
         lower, upper = np.array(part.lower), part.upper
         if self._boxes is None or self._table is None:

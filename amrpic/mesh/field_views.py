@@ -135,7 +135,7 @@ class FieldViews(ABC):
     def _gathered(self) -> exports.Gathered:
         """The field with the boxes of all ranks. Collective."""
         own_parts = [
-            (p.level, p.box, exports.Part(p.level, p.lower, np.array(p.data), p.covered)) for p in self.patches
+            (p.level, p.box, exports.ExportedPart(p.level, p.lower, np.array(p.data), p.covered)) for p in self.patches
         ]
         everyones = [exported for rank in self.comm.allgather(own_parts) for exported in rank]
         parts = [part for _, _, part in sorted(everyones, key=lambda exported: exported[:2])]

@@ -53,7 +53,7 @@ def _interval(
 
 
 @dataclass(frozen=True)
-class Part:
+class CommonPart:
     """Common parts of a block of cells with one cell of the other lattice each."""
 
     axes: tuple[Interval, Interval, Interval]
@@ -93,11 +93,11 @@ def _product(axes: Sequence[Array]) -> Array:
     return x[:, None, None] * y[None, :, None] * z[None, None, :]
 
 
-def parts(corners: Array, extents: Array, extents_of_other: Array, source_here: bool) -> Iterator[Part]:
+def parts(corners: Array, extents: Array, extents_of_other: Array, source_here: bool) -> Iterator[CommonPart]:
     """Yield the common parts of a box of cells of a lattice with all those of another; lattices by cells along the axes."""
     along = [
         intervals(np.arange(corners[d], corners[3 + d] + 1), int(extents[d]), int(extents_of_other[d]), source_here)
         for d in range(3)
     ]
     for z, y, x in product(*along[::-1]):
-        yield Part((x, y, z))
+        yield CommonPart((x, y, z))

@@ -186,7 +186,7 @@ def line_values(fields: Composite, name: str, line: Line, level: int | None = No
 
 
 @dataclass(frozen=True)
-class Spread:
+class ChargeSpread:
     """Where the charge lies: total magnitude (C), centre (m) and covariance (m²), by the magnitude of the density."""
 
     charge: float
@@ -194,7 +194,7 @@ class Spread:
     covariance: Array
 
 
-def spread_of(fields: Composite, name: str = "rho") -> Spread:
+def spread_of(fields: Composite, name: str = "rho") -> ChargeSpread:
     """Return where a density is, the middle of the domain if it is zero. Images nearest to its circular mean count."""
     middle_of_it, repeats = _middle(fields, name)
     charge, first, second = np.zeros(1), np.zeros(3), np.zeros((3, 3))
@@ -210,10 +210,10 @@ def spread_of(fields: Composite, name: str = "rho") -> Spread:
             second[b, a] += mixed
     total, *moments = fields.total(np.concatenate([charge, first, second.ravel()]))
     if total == 0.0:
-        return Spread(0.0, middle_of_it, np.zeros((3, 3)))
+        return ChargeSpread(0.0, middle_of_it, np.zeros((3, 3)))
     mean, square = np.array(moments[:3]) / total, np.reshape(moments[3:], (3, 3)) / total
     (centre,) = wrapped((middle_of_it + mean)[None], fields.lower, fields.upper, fields.periodic)
-    return Spread(float(total), centre, square - np.outer(mean, mean))
+    return ChargeSpread(float(total), centre, square - np.outer(mean, mean))
 
 
 def _charges(fields: Composite, name: str) -> Iterator[tuple[Array, list[Array]]]:
@@ -258,7 +258,7 @@ def _middle(fields: Composite, name: str) -> tuple[Array, Array]:
 LONG = 3.0  # variance along a train over that across it, from which on its own direction is taken
 
 
-def line_through(fields: Composite, spread: Spread, axis: int | None = None) -> Line:
+def line_through(fields: Composite, spread: ChargeSpread, axis: int | None = None) -> Line:
     """Return the line through the middle of the charge: along an axis, or along a train of bunches, or else along x."""
     direction = direction_of(spread) if axis is None else np.eye(3)[axis]
     with np.errstate(divide="ignore"):
@@ -270,7 +270,7 @@ def line_through(fields: Composite, spread: Spread, axis: int | None = None) -> 
     return Line(spread.centre, direction, start + (np.arange(count) + 0.5) * (stop - start) / count)
 
 
-def direction_of(spread: Spread) -> Array:
+def direction_of(spread: ChargeSpread) -> Array:
     """Return the direction of a train of bunches, or x."""
     sizes, directions = np.linalg.eigh(spread.covariance)
     direction = np.array([1.0, 0.0, 0.0])

@@ -18,10 +18,10 @@ from ..errors import HierarchyError, InputError
 from ..parallel import raise_together
 from .hierarchy import Hierarchy
 from .orders import require_order
-from .overlaps import Part, parts
+from .overlaps import CommonPart, parts
 from .patch import Patch
 from .polynomials import Fits, exponents, neighbour_bounds
-from .surroundings import Lattice, Surroundings, block
+from .surroundings import CellLattice, Surroundings, block
 
 Array = NDArray[Any]
 Bounds = str | tuple[float, float] | None
@@ -42,7 +42,7 @@ def remap(field: Values, to: Values, order: int, bounds: Bounds) -> None:
     """Set the uncovered cells of `to` to a field on another hierarchy of the same domain. Collective; see `Field.remap`."""
     require_order(order, ORDERS, "the fit")
     _require_one_domain(field.hierarchy, to.hierarchy)
-    source, target = Lattice(field.hierarchy), Lattice(to.hierarchy)
+    source, target = CellLattice(field.hierarchy), CellLattice(to.hierarchy)
     limits = _checked_bounds(field, bounds)
     cells = _SourceCells(field, source, target, order, limits)
     patches = [patch for patch in to.patches if not patch.covered.all()]
@@ -108,7 +108,7 @@ class _Box:
 class _SourceCells:
     """This rank's cells of the source."""
 
-    def __init__(self, field: Values, source: Lattice, target: Lattice, order: int, bounds: Bounds) -> None:
+    def __init__(self, field: Values, source: CellLattice, target: CellLattice, order: int, bounds: Bounds) -> None:
         """Collective."""
         self._values = {(patch.level, patch.box): patch.data for patch in field.patches}
         self._source, self._target, self._fits, self._bounds = source, target, Fits(order), bounds
@@ -180,7 +180,7 @@ class _SourceCells:
 class _Region:
     """Cells of a level of one mesh that meet a box of a level of the other."""
 
-    lattice: Lattice
+    lattice: CellLattice
     level: int
     lower: Array
     upper: Array
@@ -197,7 +197,7 @@ class _Region:
         """The boxes that hold them."""
         return self.lattice.tables[self.level].meeting(self.lower.tolist(), self.upper.tolist()).tolist()
 
-    def inside(self, part: Part) -> tuple[Any, ...]:
+    def inside(self, part: CommonPart) -> tuple[Any, ...]:
         """Return the cells of a part as indices of the region."""
         ends = zip(part.axes, self.lower, self.upper, strict=True)
         return np.ix_(*(np.minimum(axis.other, high) - low for axis, low, high in ends))
@@ -218,7 +218,7 @@ class _Region:
         return out
 
 
-def _regions(of: Lattice, level: int, corners: Array, target: Lattice) -> Iterator[_Region]:
+def _regions(of: CellLattice, level: int, corners: Array, target: CellLattice) -> Iterator[_Region]:
     """Yield what meets a box of one mesh on each level of the other that has cells there which count."""
     extent = of.extent(level)
     for number in range(target.hierarchy.levels):
@@ -262,7 +262,7 @@ def _limited(mean: Array, least: Array, most: Array, share: Array) -> Array:
 
 
 def _fetched(
-    lattice: Lattice, needed: set[tuple[int, int]], own: Callable[[int, int], Any]
+    lattice: CellLattice, needed: set[tuple[int, int]], own: Callable[[int, int], Any]
 ) -> dict[tuple[int, int], Any]:
     """Return what their owners hold in boxes, level and number, that this rank needs. Collective."""
     comm, hierarchy = lattice.hierarchy.comm, lattice.hierarchy

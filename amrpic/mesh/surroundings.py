@@ -22,7 +22,7 @@ UNKNOWN = -2
 
 
 @dataclass(frozen=True)
-class Lattice:
+class CellLattice:
     """The levels of a hierarchy as lattices, with look-ups of their boxes."""
 
     hierarchy: Hierarchy
@@ -99,7 +99,7 @@ class Surroundings:
     pieces: list[Piece]  # coarse to fine
 
     @classmethod
-    def of_box(cls, lattice: Lattice, level: int, box: int, width: int) -> Surroundings:
+    def of_box(cls, lattice: CellLattice, level: int, box: int, width: int) -> Surroundings:
         """Return what lies in and around a box."""
         corners = lattice.boxes[level][box]
         lower, upper = corners[:3] - width, corners[3:] + width
@@ -144,7 +144,9 @@ class Surroundings:
         return deeper[block(np.full(3, self.width), self.width + self.size - 1)].astype(bool)
 
 
-def _painted(lattice: Lattice, level: int, coarser: int, lower: Array, upper: Array, depth: Array) -> Iterator[Piece]:
+def _painted(
+    lattice: CellLattice, level: int, coarser: int, lower: Array, upper: Array, depth: Array
+) -> Iterator[Piece]:
     """Fill places that are unknown so far with cells so many levels coarser, and yield the pieces that do."""
     painted = depth != UNKNOWN
     for box, first, last, shift in lattice.meeting(level - coarser, lower >> coarser, upper >> coarser):

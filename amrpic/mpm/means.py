@@ -6,7 +6,7 @@ import numpy as np
 
 from ..mesh.field import Field
 from .scene import Scene
-from .state import State
+from .state import LoadState
 
 STRESSES = {
     "stress_xx": (0, 0),
@@ -18,14 +18,14 @@ STRESSES = {
 }
 
 
-def cauchy_of(state: State) -> np.ndarray:
+def cauchy_of(state: LoadState) -> np.ndarray:
     """Return Cauchy's stress at this rank's points, (n, 3, 3) in Pa. Collective."""
     solid = state.placed.solid
     at_rest = np.zeros((len(state.placed.mesh.node_indices), 3))
     return solid.states(at_rest).cauchy[state.placed.body]
 
 
-def point_values(state: State) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+def point_values(state: LoadState) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     """Return what files of points hold besides their places, by names, and the units of these. Collective."""
     points = state.placed.points
     values = {
@@ -40,7 +40,7 @@ def point_values(state: State) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     return values, {"stress": "Pa", "volume": "m^3"}
 
 
-def element_means(state: State, scene: Scene) -> dict[str, Field]:
+def element_means(state: LoadState, scene: Scene) -> dict[str, Field]:
     """Return means over the elements, weighted by volumes, by names; zero where there are no points. Collective.
 
     `filled` is the share of the element's volume that points have, `material` the number of the material that has most of it,

@@ -9,20 +9,20 @@ from mpi4py import MPI
 
 from ..fem.points import HIGHEST_DEGREE
 from ..mesh.domain import AXES, FACES
-from ..units import Quantity
+from ..units import Column
 from .conditions import body_force, held_by, nodes_of
 from .damage import DamageReport, Settled
 from .loads import Loads
 from .material_points import Placed
 from .scene import Scene
 from .solid import Solid
-from .state import Plan, State
+from .state import LoadState, Plan
 
 MOST_LOOSE = 0.05  # of the full elements
 STAGES = ("sample", "migrate", "weigh", "equilibrium", "output")
 
 
-def quantities(scene: Scene) -> Sequence[Quantity]:
+def quantities(scene: Scene) -> Sequence[Column]:
     """Return the columns of the series."""
     joule = [
         *(f"work_{face}" for face in FACES),
@@ -37,19 +37,19 @@ def quantities(scene: Scene) -> Sequence[Quantity]:
     ]
     effort = ("cuts", "turns", "newton_iterations", "newton_most", "cg_iterations", "cg_most")
     return (
-        Quantity("step", counts=True),
-        Quantity("load"),
-        *(Quantity(f"travel_{axis}", "m") for axis in AXES),  # how much shorter the mesh is than at the start
-        *(Quantity(f"force_{face}", "N") for face in FACES),  # along the axis, of the face on the body
-        Quantity("floor_share"),  # of the forces of faces, by the floor stiffness
-        *(Quantity(name, "J") for name in joule),
-        *(Quantity(name) for name in ("j_min", "j_max", "damage_max", "damage_growth")),
-        *(Quantity(name, counts=True) for name in ("points", "changed_rank", *effort)),
-        Quantity("residual"),
-        *(Quantity(name, counts=True) for name in degrees(scene)),  # elements with weights that are exact to a degree
-        *(Quantity(f"seconds_{stage}", "s") for stage in STAGES),
-        Quantity("seconds", "s"),
-        Quantity("memory", "B"),
+        Column("step", counts=True),
+        Column("load"),
+        *(Column(f"travel_{axis}", "m") for axis in AXES),  # how much shorter the mesh is than at the start
+        *(Column(f"force_{face}", "N") for face in FACES),  # along the axis, of the face on the body
+        Column("floor_share"),  # of the forces of faces, by the floor stiffness
+        *(Column(name, "J") for name in joule),
+        *(Column(name) for name in ("j_min", "j_max", "damage_max", "damage_growth")),
+        *(Column(name, counts=True) for name in ("points", "changed_rank", *effort)),
+        Column("residual"),
+        *(Column(name, counts=True) for name in degrees(scene)),  # elements with weights that are exact to a degree
+        *(Column(f"seconds_{stage}", "s") for stage in STAGES),
+        Column("seconds", "s"),
+        Column("memory", "B"),
     )
 
 
@@ -85,7 +85,7 @@ def at_rest(placed: Placed, plan: Plan) -> dict[str, float]:
     }
 
 
-def measure(state: State, loads: Loads, settled: Settled, report: DamageReport, plan: Plan) -> dict[str, float]:
+def measure(state: LoadState, loads: Loads, settled: Settled, report: DamageReport, plan: Plan) -> dict[str, float]:
     """Return the row of a step that led from a state to equilibrium. Collective.
 
     Work is since the start, by the mean of forces before and after a step; forces before it are those of the points on the

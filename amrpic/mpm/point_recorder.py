@@ -13,13 +13,13 @@ from ..parallel import together
 from ..run.log import Log, line_of
 from ..run.recorder import MeshFields, Recorder
 from ..stages.diagnostics import peak_memory
-from ..units import Quantity
+from ..units import Column
 from ..view.views import OF_POINTS
 from .means import element_means, point_values
 from .measure import STAGES, loose_weights, quantities
 from .restart import snapshot
 from .scene import Scene
-from .state import Plan, State
+from .state import LoadState, Plan
 
 
 def step_line(row: Mapping[str, float], last_step: int, seconds_left: float) -> str:
@@ -38,29 +38,29 @@ def step_line(row: Mapping[str, float], last_step: int, seconds_left: float) -> 
     )
 
 
-class PointRecorder(Recorder[State]):
+class PointRecorder(Recorder[LoadState]):
     """Writes the states of a run of material points into its folder."""
 
     _scene: Scene
     line = staticmethod(step_line)
     views = OF_POINTS
 
-    def __init__(self, state: State, plan: Plan, resumed: bool, log: Log = "print") -> None:
+    def __init__(self, state: LoadState, plan: Plan, resumed: bool, log: Log = "print") -> None:
         self._plan = plan
         self._loose = loose_weights(state.placed)
         super().__init__(plan.comm, plan.scene, plan.clock, state, resumed, log)
 
-    def failed(self, state: State, error: AmrpicError) -> None:
+    def failed(self, state: LoadState, error: AmrpicError) -> None:
         if isinstance(error, SolverError | InputError):
             self._write(state)
 
-    def _columns(self) -> Sequence[Quantity]:
+    def _columns(self) -> Sequence[Column]:
         return quantities(self._scene)
 
-    def _remarks(self, state: State) -> Iterable[str]:
+    def _remarks(self, state: LoadState) -> Iterable[str]:
         return [*super()._remarks(state), *self._loose]
 
-    def _row(self, state: State) -> dict[str, float]:
+    def _row(self, state: LoadState) -> dict[str, float]:
         spent = self._clock.take()
         return {
             **state.measured,
@@ -71,20 +71,20 @@ class PointRecorder(Recorder[State]):
             "memory": self._comm.allreduce(peak_memory(), MPI.MAX),
         }
 
-    def _mesh(self, state: State) -> MeshFields:
+    def _mesh(self, state: LoadState) -> MeshFields:
         return MeshFields(state.placed.mesh.hierarchy, element_means(state, self._scene), state.load)
 
-    def _snapshot(self, state: State) -> Snapshot:
+    def _snapshot(self, state: LoadState) -> Snapshot:
         return snapshot(state, self._plan)
 
-    def _files(self) -> dict[str, tuple[int | None, Callable[[State], None]]]:
+    def _files(self) -> dict[str, tuple[int | None, Callable[[LoadState], None]]]:
         output = self._scene.output
         return {
             "fields": (output.fields_every, self._write_fields),
             "points": (output.points_every, self._write_points),
         }
 
-    def _write_points(self, state: State) -> None:
+    def _write_points(self, state: LoadState) -> None:
         directory, kind = self._scene.directory, points_writer.KIND
         path = vtkhdf_writer.path_of(directory, state.step, kind)
         place, (values, units) = state.placed.points.position, point_values(state)

@@ -21,7 +21,7 @@ from .limits import memory, require_room
 from .means import element_means
 from .measure import loose_weights
 from .scene import Scene
-from .state import Plan, State
+from .state import LoadState, Plan
 from .step import begin
 
 FILE = "preview.vtkhdf"
@@ -47,7 +47,7 @@ def preview(comm: MPI.Comm, scene: Scene) -> str:
     return "\n\n".join("\n".join(lines) for lines in paragraphs if lines)
 
 
-def _structure(plan: Plan, state: State) -> list[str]:
+def _structure(plan: Plan, state: LoadState) -> list[str]:
     """Return what there is of each material."""
     points, names = state.placed.points, list(plan.scene.materials)
     count = np.bincount(points.material, minlength=len(names))
@@ -61,7 +61,7 @@ def _structure(plan: Plan, state: State) -> list[str]:
     ]
 
 
-def _elements(plan: Plan, state: State) -> list[str]:
+def _elements(plan: Plan, state: LoadState) -> list[str]:
     """Return how many points elements have, and to what degree their weights are exact."""
     placed, comm, counts = state.placed, plan.comm, state.placed.weighed.held
     least, most = comm.allreduce(int(counts.min(initial=2**31)), MPI.MIN), int(global_max(comm, counts.max(initial=0)))
@@ -82,7 +82,7 @@ def _memory(plan: Plan) -> list[str]:
     ]
 
 
-def _pictures(plan: Plan, state: State) -> list[str]:
+def _pictures(plan: Plan, state: LoadState) -> list[str]:
     """Write the structure as a field file, draw it, and return the paths. Collective."""
     scene, hierarchy = plan.scene, state.placed.mesh.hierarchy
     path, means = scene.directory / FILE, element_means(state, scene)

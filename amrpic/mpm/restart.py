@@ -11,13 +11,13 @@ from ..io.checkpoint import Header, Snapshot, read, read_contents
 from ..io.provenance import about
 from ..scene.differences import differences, require_same
 from .scene import Scene
-from .state import Plan, State
+from .state import LoadState, Plan
 from .step import put
 
 FIXED = ("domain", "faces", "materials")  # parts of a scene that a restart must keep; of materials the names
 
 
-def snapshot(state: State, plan: Plan) -> Snapshot:
+def snapshot(state: LoadState, plan: Plan) -> Snapshot:
     """Return the whole state as a checkpoint takes it: arrays shared, not copied."""
     hierarchy, scene = state.placed.mesh.hierarchy, plan.scene
     header = Header(
@@ -36,7 +36,7 @@ def snapshot(state: State, plan: Plan) -> Snapshot:
     return Snapshot(header, tables={"points": state.placed.points.columns()})
 
 
-def load(comm: MPI.Comm, path: Path, scene: Scene | None = None) -> tuple[State, Plan]:
+def load(comm: MPI.Comm, path: Path, scene: Scene | None = None) -> tuple[LoadState, Plan]:
     """Return the state that a checkpoint holds, and what its steps need. Collective; InputError on all ranks.
 
     `scene` may take the place of the checkpoint's if its domain, faces and names of materials are the same. On as many ranks
@@ -55,4 +55,4 @@ def load(comm: MPI.Comm, path: Path, scene: Scene | None = None) -> tuple[State,
     stored, extra = read(comm, path, contents=contents), header.extra
     loads = scene.schedule.loads(extra["begin"], extra["length"])
     points, _ = put(dict(stored.tables["points"]), plan, loads.begin)
-    return State(header.step, loads, points, extra["measured"]), plan
+    return LoadState(header.step, loads, points, extra["measured"]), plan

@@ -16,11 +16,11 @@ from .limits import require_room
 from .point_recorder import PointRecorder
 from .restart import load, snapshot
 from .scene import Scene
-from .state import Plan, State
+from .state import LoadState, Plan
 from .step import advance, begin
 
 
-class Simulation(Run[State]):
+class Simulation(Run[LoadState]):
     """A scene of material points on the ranks of a communicator. Collective to make: its points are made then.
 
     `state` is the present one; it is a value, and a later step makes a new one. `run` writes what the scene asks for;
@@ -39,7 +39,7 @@ class Simulation(Run[State]):
         plan = Plan(comm, scene)
         self._hold(plan, begin(plan))
 
-    def _hold(self, plan: Plan, state: State) -> None:
+    def _hold(self, plan: Plan, state: LoadState) -> None:
         self.comm, self.scene, self._plan, self.state = plan.comm, plan.scene, plan, state
 
     @classmethod
@@ -56,7 +56,7 @@ class Simulation(Run[State]):
         run._begun = run._recorded = True
         return run
 
-    def advance(self) -> State:
+    def advance(self) -> LoadState:
         """Take a load step and return the state then. Collective; SolverError on all ranks if there is no equilibrium."""
         self.state = advance(self.state, self._plan)
         self._recorded = False

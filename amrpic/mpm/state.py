@@ -26,7 +26,7 @@ class Plan:
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class LoadState:
     """Points in a mesh without displacement, after some load steps."""
 
     step: int

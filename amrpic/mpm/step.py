@@ -10,19 +10,19 @@ from .loads import Loads
 from .material_points import Columns, Placed, migrate, placed, require_inside
 from .measure import at_rest, measure
 from .sample import mesh_of, sample
-from .state import Plan, State
+from .state import LoadState, Plan
 
 
-def begin(plan: Plan) -> State:
+def begin(plan: Plan) -> LoadState:
     """Return the state before the first step. Collective."""
     mesh, scene = mesh_of(plan.comm, plan.scene), plan.scene
     with plan.clock("sample"):
         columns = sample(scene, mesh).columns()
     points, _ = put(columns, plan, 0.0)
-    return State(0, scene.schedule.loads(), points, at_rest(points, plan))
+    return LoadState(0, scene.schedule.loads(), points, at_rest(points, plan))
 
 
-def advance(state: State, plan: Plan) -> State:
+def advance(state: LoadState, plan: Plan) -> LoadState:
     """Return the state one load step later; a step without equilibrium, or after which points leave the mesh, is halved.
 
     Collective; SolverError on all ranks if even the smallest step fails, with the reason.
@@ -38,7 +38,7 @@ def advance(state: State, plan: Plan) -> State:
         except (SolverError, ParticleError) as why:  # a large step may fold the mesh between points: some are outside
             loads, cuts = loads.cut(str(why)), cuts + 1
     measured |= {"cuts": cuts, "changed_rank": plan.comm.allreduce(arrived)} | at_rest(points_then, plan)
-    return State(state.step + 1, loads.taken(report.most_iterations, report.growth), points_then, measured)
+    return LoadState(state.step + 1, loads.taken(report.most_iterations, report.growth), points_then, measured)
 
 
 def put(columns: Columns, plan: Plan, load: float) -> tuple[Placed, int]:
@@ -56,7 +56,7 @@ def put(columns: Columns, plan: Plan, load: float) -> tuple[Placed, int]:
         return placed(points, mesh, plan.materials, scene.points.weights, scene.floor_stiffness, free), arrived
 
 
-def _equilibrium(state: State, loads: Loads, plan: Plan) -> tuple[Settled, DamageReport]:
+def _equilibrium(state: LoadState, loads: Loads, plan: Plan) -> tuple[Settled, DamageReport]:
     """Return where forces balance at the end of a step. Collective; SolverError on all ranks if that is not found."""
     scene, placed = plan.scene, state.placed
     fixed, values = held_by(scene, placed.mesh, loads)

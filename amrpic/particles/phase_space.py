@@ -11,7 +11,7 @@ from ..units import SPEED_OF_LIGHT
 
 
 @dataclass(frozen=True)
-class Plane:
+class PhasePlane:
     """One plane: x = size a, p = lean a + spread b from unit coordinates a and b that are not correlated.
 
     So <x^2> = size^2, <x p> = size lean, <p^2> = lean^2 + spread^2.
@@ -22,7 +22,7 @@ class Plane:
     spread: float = 0.0  # kg m/s
 
     @classmethod
-    def of_emittance(cls, emittance: float, alpha: float, size: float, mass: float) -> Plane:
+    def of_emittance(cls, emittance: float, alpha: float, size: float, mass: float) -> PhasePlane:
         """Return the plane of a normalised emittance (m rad), Twiss alpha and rms size (m).
 
         <x p> = -alpha emittance m c and <x^2> <p^2> - <x p>^2 = (emittance m c)^2.
@@ -36,7 +36,7 @@ class PhaseSpace:
     """Where a bunch is, how it moves, and its three planes."""
 
     centre: Sequence[float]  # m
-    planes: Sequence[Plane]  # along x, y, z
+    planes: Sequence[PhasePlane]  # along x, y, z
     momentum: Sequence[float] = (0.0, 0.0, 0.0)  # mean of one real particle, kg m/s
 
     def place(self, unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

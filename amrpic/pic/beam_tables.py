@@ -15,7 +15,7 @@ from ..particles.groups import Groups
 from ..scene.scene import Scene
 from ..stages.beam_diagnostics import (
     FRACTIONS,
-    Part,
+    PartMoments,
     Quantiles,
     Slice,
     Value,
@@ -26,16 +26,16 @@ from ..stages.beam_diagnostics import (
     moments_by_kind,
     slice_values,
 )
-from ..units import Quantity
+from ..units import Column
 from .fills import Fills
 from .state import State
 
 BEAM = "beam.csv"
 SLICES = "slices.csv"
-TIME = (Quantity("step", counts=True), Quantity("time", "s"), Quantity("s", "m"))
+TIME = (Column("step", counts=True), Column("time", "s"), Column("s", "m"))
 OF_TIME = [column.name for column in TIME]
-GROUP = (*TIME, Quantity("group", is_text=True))
-SLICE = (*GROUP, Quantity("slice", counts=True))
+GROUP = (*TIME, Column("group", is_text=True))
+SLICE = (*GROUP, Column("slice", counts=True))
 
 Diagnostic = Callable[[State], Mapping[str, float | np.ndarray | Sequence[float]]]
 
@@ -74,7 +74,7 @@ class BeamTables:
             if self._slices:
                 self._open(SLICES, [*SLICE, *_columns(slice_values(Slice(0.0, 0.0, NOTHING[0])))])
 
-    def _open(self, name: str, columns: Sequence[Quantity]) -> Series:
+    def _open(self, name: str, columns: Sequence[Column]) -> Series:
         if name not in self._series:
             self._series[name] = Series(self._comm, self._directory / name, columns, self._about, self._keep)
         return self._series[name]
@@ -104,7 +104,7 @@ class BeamTables:
 
     def _record_beam(self, state: State) -> None:
         comm, groups = self._comm, self._groups
-        moments: dict[frozenset[int], Part] = {}
+        moments: dict[frozenset[int], PartMoments] = {}
         quantiles: dict[frozenset[int], Quantiles] = {}
         slices: dict[frozenset[int], list[Slice]] = {}
         for beam, of_kinds, parts in moments_by_kind(comm, state.beam, groups, state.hierarchy.domain):
@@ -139,7 +139,7 @@ class BeamTables:
         values = call_together(
             self._comm, lambda: flattened(diagnostic(state)), InputError, f'the diagnostic "{name}" failed'
         )
-        series = self._open(file_of(name), [*TIME, *(Quantity(column) for column in values)])
+        series = self._open(file_of(name), [*TIME, *(Column(column) for column in values)])
         names = [column.name for column in series.columns[len(TIME) :]]
         if self._comm.allreduce(names != list(values), MPI.LOR):
             raise InputError(
@@ -160,7 +160,7 @@ class BeamTables:
 
 
 NOTHING = (
-    Part(
+    PartMoments(
         0, 0.0, 0.0, 0.0, 0.0, np.zeros(3), np.zeros(7), np.zeros((7, 7)), np.zeros((3, 5, 5)), np.zeros(7), np.zeros(7)
     ),
     Quantiles(np.zeros((3, len(FRACTIONS))), np.zeros(len(FRACTIONS)), np.zeros(len(FRACTIONS))),
@@ -191,7 +191,7 @@ def flattened(values: Mapping[str, float | np.ndarray | Sequence[float]]) -> dic
     return out
 
 
-def _columns(values: Sequence[Value]) -> list[Quantity]:
+def _columns(values: Sequence[Value]) -> list[Column]:
     return [column for column, _ in values]
 
 

@@ -19,7 +19,7 @@ from ..units import SPEED_OF_LIGHT
 
 
 @dataclass(frozen=True)
-class Reference:
+class ReferenceParticle:
     """A particle that moves by the fields of elements alone; place and momentum are of one time, in the laboratory."""
 
     position: Vector  # m
@@ -34,7 +34,7 @@ class Reference:
         momentum = np.array(self.momentum)
         return momentum / math.hypot(self.mass, float(np.linalg.norm(momentum)) / SPEED_OF_LIGHT)
 
-    def after(self, dt: float, time: float, external: ExternalFields, pusher: str) -> Reference:
+    def after(self, dt: float, time: float, external: ExternalFields, pusher: str) -> ReferenceParticle:
         """Return the particle `dt` s later than `time` s, moved as `push` moves those of a beam, by kick, drift and kick."""
         constants = self.charge, self.mass
         fields = external.native
@@ -44,14 +44,14 @@ class Reference:
         )
         position, whole = _native.push_one(position, half, *constants, dt / 2, 0.0, 0.0, method, fields, time + dt)
         path = self.path + math.dist(position, self.position)
-        return Reference(vector(position), vector(whole), *constants, path)
+        return ReferenceParticle(vector(position), vector(whole), *constants, path)
 
 
 @dataclass(frozen=True)
 class Course:
     """Where the reference particle is, if there is one, and the window."""
 
-    reference: Reference | None = None
+    reference: ReferenceParticle | None = None
     window: Window = AT_REST
     goes: str = "nowhere"  # with the reference particle: "x", "y" or "z" along that axis, "turning" wherever it goes
     stride: float = 0.0  # m by which it goes along an axis: a wall left behind stays on the lattice of the mesh; 0: any
@@ -77,7 +77,7 @@ class Course:
         if start is None:
             return cls()
         species = start.species
-        reference = Reference(start.position, start.mean_momentum, species.charge, species.mass)
+        reference = ReferenceParticle(start.position, start.mean_momentum, species.charge, species.mass)
         if (axis := scene.window_axis) is None:
             return cls(reference)
         if not all(face == "open" for pair in scene.domain.boundary.values() for face in pair):
@@ -117,12 +117,12 @@ class Course:
         reference = values["reference"]
         if reference is not None:
             vectors = {key: tuple(reference[key]) for key in ("position", "momentum")}
-            reference = Reference(**{**reference, **vectors})
+            reference = ReferenceParticle(**{**reference, **vectors})
         optional = {key: values[key] for key in ("stride", "start") if key in values}
         return cls(reference, window_of(values["window"]), values["goes"], **optional)
 
 
-def _turned(window: Window, now: Reference, direction: np.ndarray, later: Reference) -> Window:
+def _turned(window: Window, now: ReferenceParticle, direction: np.ndarray, later: ReferenceParticle) -> Window:
     """Return the window that goes with a particle and turns from a direction to its new one: it keeps its place on the mesh."""
     place = window.from_laboratory(np.subtract(now.position, window.origin))
     turned = window.turned(direction, np.array(later.momentum))

@@ -15,7 +15,7 @@ from ..run.log import Log, step_line
 from ..run.recorder import MeshFields, Recorder
 from ..scene.scene import Scene
 from ..stages.diagnostics import measure, quantities
-from ..units import Quantity, quantity
+from ..units import Column, quantity
 from ..view.views import OVERVIEW
 from .beam_tables import BeamTables, Diagnostic
 from .fills import Fills
@@ -28,11 +28,11 @@ from .tallies import SOURCES, TABLE
 
 RESIDUALS = "residuals.csv"
 HISTORY = (  # of the solves: a row for each guess and each cycle
-    Quantity("step", counts=True),
-    Quantity("time", "s"),
-    Quantity("solve", counts=True),  # of the step: more than one where the field decides on the mesh
-    Quantity("cycle", counts=True),
-    Quantity("residual"),  # in the solver's norm, relative to that of a zero potential
+    Column("step", counts=True),
+    Column("time", "s"),
+    Column("solve", counts=True),  # of the step: more than one where the field decides on the mesh
+    Column("cycle", counts=True),
+    Column("residual"),  # in the solver's norm, relative to that of a zero potential
 )
 
 
@@ -70,7 +70,7 @@ class ParticleRecorder(Recorder[State]):
             self._add_history(state.step + 1, state.time + state.staggered.flight)
             self._settle()
 
-    def _columns(self) -> Sequence[Quantity]:
+    def _columns(self) -> Sequence[Column]:
         return quantities(self._scene.refinement.levels + 1)
 
     def _notes(self) -> Sequence[str]:

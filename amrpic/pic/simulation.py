@@ -28,7 +28,7 @@ from ..scene.scene import Scene
 from ..stages.poisson import SolveReport
 from ..units import quantity
 from .beam_tables import Diagnostic
-from .course import Reference
+from .course import ReferenceParticle
 from .field_functions import FieldFunction
 from .leapfrog import synchronized
 from .particle_recorder import ParticleRecorder
@@ -215,7 +215,7 @@ class Simulation(Run[State]):
         return self.state.window
 
     @property
-    def reference(self) -> Reference | None:
+    def reference(self) -> ReferenceParticle | None:
         """The reference particle, in the laboratory."""
         return self.state.course.reference
 

@@ -25,7 +25,7 @@ from ..mesh.window import AT_REST, Window
 from ..parallel import together
 from ..results.run_results import SERIES
 from ..scene.any_scene import AnyScene
-from ..units import Quantity
+from ..units import Column
 from ..view.draw import drawn
 from ..view.views import View
 from .clock import Clock
@@ -86,7 +86,7 @@ class Recorder(ABC, Generic[StateT]):
     # ---- what methods say ----
 
     @abstractmethod
-    def _columns(self) -> Sequence[Quantity]:
+    def _columns(self) -> Sequence[Column]:
         """Return the columns of the series."""
 
     @abstractmethod
@@ -141,7 +141,7 @@ class Recorder(ABC, Generic[StateT]):
 
     # ---- the same for all ----
 
-    def _open(self, name: str, columns: Sequence[Quantity]) -> Series | None:
+    def _open(self, name: str, columns: Sequence[Column]) -> Series | None:
         if "series" not in self._wanted:
             return None
         return Series(self._comm, self._scene.directory / name, columns, self._about, self._keep)

@@ -22,7 +22,7 @@ from ..parallel import own, together
 from ..pic.simulation import Simulation
 from ..run.clock import Spent
 from ..scene.scene import Scene
-from .measured import WAITING, WALLS, Run, Stage
+from .measured import WAITING, WALLS, MeasuredRun, Stage
 
 UNCOUNTED = 1  # first steps, in which memory is touched for the first time
 
@@ -38,7 +38,7 @@ def measure(
     name: str = "",
     clock: str = "wall",
     apart: bool = False,
-) -> Run:
+) -> MeasuredRun:
     """Return what so many steps of a run take, after the uncounted first ones, with all that the scene writes. Collective.
 
     Files go into the scene's folder. What a step writes counts for the next one; what the end writes stands apart. By the clock
@@ -75,7 +75,7 @@ def measure(
     mesh, number = run.hierarchy, len(run.particles)
     total = run.particles.global_count(comm)
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024.0
-    return Run(
+    return MeasuredRun(
         kind,
         comm.size,
         name,

@@ -39,7 +39,7 @@ NOTHING = Stage(0, 0, 0)
 
 
 @dataclass(frozen=True)
-class Run:
+class MeasuredRun:
     """What one start of a scene on so many ranks measured."""
 
     kind: str  # strong or weak
@@ -104,7 +104,7 @@ class Measured:
         return (self.cells + self.particles) / self.ranks
 
     @classmethod
-    def of(cls, runs: Sequence[Run]) -> Self:
+    def of(cls, runs: Sequence[MeasuredRun]) -> Self:
         """Return the medians of runs of one kind and number of ranks."""
         first = runs[0]
         all_ = [of_step for run in runs for of_step in zip(run.steps, run.cycles, run.meshes, run.cells, strict=True)]
@@ -156,9 +156,9 @@ def _each(function: Callable[[Any], float], rows: Sequence[Sequence[float]]) -> 
     return tuple(float(function(column)) for column in zip(*rows, strict=True))
 
 
-def medians(runs: Iterable[Run]) -> list[Measured]:
+def medians(runs: Iterable[MeasuredRun]) -> list[Measured]:
     """Return the medians of runs by kind and number of ranks, fewest ranks first."""
-    groups: dict[tuple[str, int], list[Run]] = {}
+    groups: dict[tuple[str, int], list[MeasuredRun]] = {}
     for run in runs:
         groups.setdefault((run.kind, run.ranks), []).append(run)
     return [Measured.of(groups[key]) for key in sorted(groups)]

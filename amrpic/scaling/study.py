@@ -16,7 +16,7 @@ from mpi4py import MPI
 from ..errors import InputError, OutputError
 from ..mesh.boxes import scaled_cells
 from ..scene.scene import Scene
-from .measured import Run
+from .measured import MeasuredRun
 
 KINDS = ("strong", "weak")
 LAUNCHER = "mpiexec -n {ranks}"
@@ -86,7 +86,7 @@ class Study:
         except OSError as reason:
             raise OutputError(f"cannot make {self.folder}: {reason.strerror}; choose another --output") from None
 
-    def start(self, repeat: int = 1) -> Iterator[Run]:
+    def start(self, repeat: int = 1) -> Iterator[MeasuredRun]:
         """Yield what each start measures. All numbers of ranks take turns, `repeat` times: a machine that is loaded for a while
         slows down each of them, not one. InputError if a run cannot be started or fails, after what it said itself."""
         for _ in range(repeat):
@@ -94,7 +94,7 @@ class Study:
                 for ranks in self.ranks:
                     output = self._file(kind, ranks)
                     launch(self.launcher, ranks, self.arguments(kind, ranks, output), "the run")
-                    yield Run.read(output)
+                    yield MeasuredRun.read(output)
 
     def arguments(self, kind: str, ranks: int, output: Path | str) -> list[str]:
         """Return the module that measures a number of ranks, and its arguments."""
@@ -103,9 +103,9 @@ class Study:
         arguments = [output, self.path, kind, self.name, self.steps, self.clock, clocks, *self.overrides, *overrides]
         return ["amrpic.scaling.measure", *map(str, arguments)]
 
-    def runs(self) -> list[Run]:
+    def runs(self) -> list[MeasuredRun]:
         """Return all runs of this scene in the folder, from earlier starts too. Raises InputError for files that are none."""
-        runs = [Run.read(path) for path in sorted(self.folder.glob("*.json"))]
+        runs = [MeasuredRun.read(path) for path in sorted(self.folder.glob("*.json"))]
         return [run for run in runs if run.scene == self.name]
 
     def write_jobs(self, options: str, repeat: int = 1) -> list[Path]:

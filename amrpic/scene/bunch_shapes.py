@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 
 from ..particles import distributions
-from ..particles.phase_space import Plane
+from ..particles.phase_space import PhasePlane
 from ..units import SPEED_OF_LIGHT
 from .bunches import Train
 from .complaints import complaint
@@ -46,13 +46,13 @@ class TwissPlane(Section):
             raise complaint("is zero although the emittance is not", "give a size", path="sigma", found=0.0)
         return self
 
-    def plane(self, mass: float, momentum: float) -> Plane:
+    def plane(self, mass: float, momentum: float) -> PhasePlane:
         """Return the plane for particles of a mass (kg) and a mean momentum (kg m/s)."""
         size = self.sigma
         if size is None:
             assert self.beta is not None
             size = float(np.sqrt(self.beta * self.emittance * mass * SPEED_OF_LIGHT / momentum))
-        return Plane.of_emittance(self.emittance, self.alpha, size, mass)
+        return PhasePlane.of_emittance(self.emittance, self.alpha, size, mass)
 
 
 class Twiss(Section):
@@ -111,14 +111,14 @@ class SizedBunch(Train):
                 )
 
     @property
-    def planes(self) -> tuple[Plane, Plane, Plane]:
+    def planes(self) -> tuple[PhasePlane, PhasePlane, PhasePlane]:
         if self.twiss is not None:
             mass, momentum = self.species.mass, float(np.linalg.norm(self.mean_momentum))
             x, y, z = (plane.plane(mass, momentum) for plane in (self.twiss.x, self.twiss.y, self.twiss.z))
         else:
             assert self.sigma is not None
             pairs = zip(self.sigma, self.momentum_spread, strict=True)
-            x, y, z = (Plane(size, 0.0, spread) for size, spread in pairs)
+            x, y, z = (PhasePlane(size, 0.0, spread) for size, spread in pairs)
         return (x, y, z)
 
 
@@ -157,8 +157,8 @@ class SphereBunch(Train):
         return self
 
     @property
-    def planes(self) -> tuple[Plane, Plane, Plane]:
-        x, y, z = (Plane(self.radius / float(np.sqrt(5)), 0.0, spread) for spread in self.momentum_spread)
+    def planes(self) -> tuple[PhasePlane, PhasePlane, PhasePlane]:
+        x, y, z = (PhasePlane(self.radius / float(np.sqrt(5)), 0.0, spread) for spread in self.momentum_spread)
         return (x, y, z)
 
     def unit(self, u: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ from typing import Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from ..particles.phase_space import Plane
+from ..particles.phase_space import PhasePlane
 from ..particles.sampling import BITS, Sampling
 from .complaints import complaint
 from .real_particle import RealParticle
@@ -153,7 +153,7 @@ class Train(DescribedBunch):
         return [tuple(self.centre[d] + (b - middle) * step[d] for d in range(3)) for b in range(self.count)]  # type: ignore[misc]
 
     @property
-    def planes(self) -> tuple[Plane, Plane, Plane]:
+    def planes(self) -> tuple[PhasePlane, PhasePlane, PhasePlane]:
         """Size and momenta of a bunch along x, y, z."""
         raise NotImplementedError
 

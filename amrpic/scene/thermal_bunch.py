@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from ..particles import distributions
 from ..particles.equivalent_beam import line_gradient
-from ..particles.phase_space import Plane
+from ..particles.phase_space import PhasePlane
 from ..particles.thermal_equilibrium import matched
 from ..units import SPEED_OF_LIGHT
 from .bunches import Train
@@ -141,12 +141,12 @@ class ThermalBunch(Train):
         )
 
     @property
-    def planes(self) -> tuple[Plane, Plane, Plane]:
+    def planes(self) -> tuple[PhasePlane, PhasePlane, PhasePlane]:
         size, temperature = self._equilibrium
         spread = math.sqrt(self._gamma * self.species.mass * max(temperature, 0.0))
-        across = Plane(size * self.mismatch, 0.0, spread / self.mismatch)
+        across = PhasePlane(size * self.mismatch, 0.0, spread / self.mismatch)
         along = self._gamma * spread if self.longitudinal_spread is None else self.longitudinal_spread
-        return (across, across, Plane(self.length / math.sqrt(12), 0.0, along))
+        return (across, across, PhasePlane(self.length / math.sqrt(12), 0.0, along))
 
     def unit(self, u: np.ndarray) -> np.ndarray:
         size, temperature = self._equilibrium

@@ -20,7 +20,7 @@ from ..particles.equivalent_beam import ellipsoid_gradient, line_gradient, tune_
 from ..particles.groups import Groups, layers
 from ..particles.images import NO_IMAGES, Images, periods
 from ..particles.particles import Particles
-from ..units import SPEED_OF_LIGHT, Quantity
+from ..units import SPEED_OF_LIGHT, Column
 
 COORDINATES = ("x", "y", "z", "ux", "uy", "uz")  # u: momentum over m c, which is βγ along an axis
 ENERGY = 6  # the coordinate behind them: kinetic energy
@@ -30,7 +30,7 @@ ROUNDING = 64 * float(np.finfo(float).eps)  # of <q^2><p^2>: a squared emittance
 UNKNOWN = math.nan
 
 Array = NDArray[Any]
-Value = tuple[Quantity, float]
+Value = tuple[Column, float]
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Beam:
 
 
 @dataclass(frozen=True)
-class Part:
+class PartMoments:
     """Moments of a part of a beam, about its mean; nan where there are no particles.
 
     Coordinates are those of `COORDINATES` and the kinetic energy. Positions in m, momenta over m c, energy in J.
@@ -157,7 +157,7 @@ def _ratio(a: float, b: float) -> float:
 
 def group_moments(
     comm: MPI.Comm, beam: Beam, groups: Groups, domain: Domain | None = None
-) -> dict[frozenset[int], Part]:
+) -> dict[frozenset[int], PartMoments]:
     """Return the moments of each distinct group. Collective.
 
     The particles are read once. Where the domain is periodic, the images of a group's particles count that are nearest to its
@@ -188,7 +188,7 @@ def group_moments(
 
 def moments_by_kind(
     comm: MPI.Comm, beam: Beam, groups: Groups, domain: Domain | None = None
-) -> list[tuple[Beam, Groups, dict[frozenset[int], Part]]]:
+) -> list[tuple[Beam, Groups, dict[frozenset[int], PartMoments]]]:
     """Return the moments of each distinct group, with the beam and the groups that they are of. Collective.
 
     Those of groups with test particles alone are by number: each weighs the same, without charge. The particles are then read
@@ -222,7 +222,7 @@ def _centres_and_periods(images: Sequence[Images]) -> tuple[list[list[float]], l
     return [of.centre.tolist() for of in images], [of.period.tolist() for of in images]
 
 
-def _in_domain(part: Part, images: Images, domain: Domain) -> Part:
+def _in_domain(part: PartMoments, images: Images, domain: Domain) -> PartMoments:
     """Return a part that was measured about images with its mean in the domain."""
     if not part.weight > 0:
         return replace(part, images=images)
@@ -231,7 +231,7 @@ def _in_domain(part: Part, images: Images, domain: Domain) -> Part:
     return replace(part, mean=part.mean + shift, lowest=part.lowest + shift, highest=part.highest + shift, images=about)
 
 
-def _joined(of_runs: Sequence[tuple[int, _native.BeamMoments]], groups: Groups) -> Part:
+def _joined(of_runs: Sequence[tuple[int, _native.BeamMoments]], groups: Groups) -> PartMoments:
     """Return the moments of some runs together; a run stands for all of its species here."""
     sums = _native.joined_moments([moments for _, moments in of_runs])
     with_charge = [(groups.species[run], moments) for run, moments in of_runs if moments.weight > 0]
@@ -249,8 +249,8 @@ def _joined(of_runs: Sequence[tuple[int, _native.BeamMoments]], groups: Groups) 
     )
     if not sums.weight > 0:
         unknown, square, planes = np.full(7, UNKNOWN), np.full((7, 7), UNKNOWN), np.full((3, 5, 5), UNKNOWN)
-        return Part(int(sums.count), 0.0, 0.0, UNKNOWN, 0.0, momentum, unknown, square, planes, unknown, unknown)
-    return Part(
+        return PartMoments(int(sums.count), 0.0, 0.0, UNKNOWN, 0.0, momentum, unknown, square, planes, unknown, unknown)
+    return PartMoments(
         int(sums.count),
         sums.weight,
         charge,
@@ -283,7 +283,7 @@ class Quantiles:
 
 
 def group_quantiles(
-    comm: MPI.Comm, beam: Beam, groups: Groups, moments: dict[frozenset[int], Part]
+    comm: MPI.Comm, beam: Beam, groups: Groups, moments: dict[frozenset[int], PartMoments]
 ) -> dict[frozenset[int], Quantiles]:
     """Return the quantiles of each distinct group. Collective.
 
@@ -308,7 +308,7 @@ def _place_of_runs(layer: Sequence[frozenset[int]], runs: int) -> list[int]:
     return [next((place for place, members in enumerate(layer) if run in members), -1) for run in range(runs)]
 
 
-def _frame(part: Part) -> tuple[list[float], list[tuple[float, float, float]], list[float]]:
+def _frame(part: PartMoments) -> tuple[list[float], list[tuple[float, float, float]], list[float]]:
     """Return what amplitudes of a part refer to: centre, the form γ q² + 2 α q u + β u² in each plane, typical values."""
     forms = []
     for axis in range(3):
@@ -328,7 +328,7 @@ class Slice:
 
     lower: float  # m
     upper: float  # m
-    part: Part
+    part: PartMoments
 
     @property
     def charge_per_length(self) -> float:
@@ -342,7 +342,7 @@ class Slice:
 
 
 def group_slices(
-    comm: MPI.Comm, beam: Beam, groups: Groups, moments: dict[frozenset[int], Part], slices: int
+    comm: MPI.Comm, beam: Beam, groups: Groups, moments: dict[frozenset[int], PartMoments], slices: int
 ) -> dict[frozenset[int], list[Slice]]:
     """Return slices of each distinct group, of equal length, from its lower end upwards. Collective.
 
@@ -380,7 +380,7 @@ def _one_of_each(members: Iterable[int], groups: Groups) -> list[int]:
     return list(first.values())
 
 
-def _edges(part: Part, slices: int) -> np.ndarray:
+def _edges(part: PartMoments, slices: int) -> np.ndarray:
     if not part.weight > 0:
         return np.zeros(slices + 1)
     reach = CLOUD * part.rms[2]
@@ -407,21 +407,23 @@ def group_losses(comm: MPI.Comm, lost: Particles, groups: Groups) -> dict[frozen
 # ---- tables ----
 
 
-def group_values(part: Part, quantiles: Quantiles, lost: tuple[int, float], period: float = math.inf) -> list[Value]:
+def group_values(
+    part: PartMoments, quantiles: Quantiles, lost: tuple[int, float], period: float = math.inf
+) -> list[Value]:
     """Return all that is measured of a group, in the order of its table; z repeats after `period` m."""
     return [
-        (Quantity("particles", counts=True), part.particles),
-        (Quantity("charge", "C"), part.charge),
-        (Quantity("lost_particles", counts=True), lost[0]),
-        (Quantity("lost_charge", "C"), lost[1]),
+        (Column("particles", counts=True), part.particles),
+        (Column("charge", "C"), part.charge),
+        (Column("lost_particles", counts=True), lost[0]),
+        (Column("lost_charge", "C"), lost[1]),
         *_energy(part),
-        (Quantity("kinetic_energy", "J"), part.weight * part.mean[ENERGY] if part.weight > 0 else 0.0),
-        *((Quantity(f"momentum_{axis}", "kg m/s"), part.momentum[i]) for i, axis in enumerate(AXES)),
+        (Column("kinetic_energy", "J"), part.weight * part.mean[ENERGY] if part.weight > 0 else 0.0),
+        *((Column(f"momentum_{axis}", "kg m/s"), part.momentum[i]) for i, axis in enumerate(AXES)),
         *_means_and_sizes(part),
         *_extremes(part),
         *_correlations(part),
         *(value for axis in range(3) for value in _ellipse(part, axis)),
-        *((Quantity(f"tune_depression_{AXES[i]}"), part.tune_depression(i, period)) for i in range(2)),
+        *((Column(f"tune_depression_{AXES[i]}"), part.tune_depression(i, period)) for i in range(2)),
         *(value for axis in range(3) for value in _fourth_moments(part, axis)),
         *(value for axis in range(3) for value in _halo(part, axis)),
         *(
@@ -438,15 +440,15 @@ def slice_values(of: Slice) -> list[Value]:
     """Return all that is measured of a slice, in the order of its table."""
     part = of.part
     return [
-        (Quantity("lower", "m"), of.lower),
-        (Quantity("upper", "m"), of.upper),
-        (Quantity("particles", counts=True), part.particles),
-        (Quantity("charge", "C"), part.charge),
-        (Quantity("charge_per_length", "C/m"), of.charge_per_length),
-        (Quantity("current", "A"), of.current),
+        (Column("lower", "m"), of.lower),
+        (Column("upper", "m"), of.upper),
+        (Column("particles", counts=True), part.particles),
+        (Column("charge", "C"), part.charge),
+        (Column("charge_per_length", "C/m"), of.charge_per_length),
+        (Column("current", "A"), of.current),
         *_energy(part),
         *_means_and_sizes(part),
-        *((Quantity(f"emittance_{axis}", "m rad"), part.emittance(i)) for i, axis in enumerate(AXES)),
+        *((Column(f"emittance_{axis}", "m rad"), part.emittance(i)) for i, axis in enumerate(AXES)),
     ]
 
 
@@ -454,34 +456,34 @@ def _unit(coordinate: str) -> str:
     return "m" if coordinate in AXES else ""
 
 
-def _energy(part: Part) -> list[Value]:
+def _energy(part: PartMoments) -> list[Value]:
     return [
-        (Quantity("mean_energy", "J"), part.mean[ENERGY]),  # kinetic, of one real particle
-        (Quantity("rms_energy", "J"), part.rms[ENERGY]),
+        (Column("mean_energy", "J"), part.mean[ENERGY]),  # kinetic, of one real particle
+        (Column("rms_energy", "J"), part.rms[ENERGY]),
     ]
 
 
-def _means_and_sizes(part: Part) -> list[Value]:
+def _means_and_sizes(part: PartMoments) -> list[Value]:
     return [
-        *((Quantity(f"mean_{name}", _unit(name)), part.mean[i]) for i, name in enumerate(COORDINATES)),
-        *((Quantity(f"rms_{name}", _unit(name)), part.rms[i]) for i, name in enumerate(COORDINATES)),
+        *((Column(f"mean_{name}", _unit(name)), part.mean[i]) for i, name in enumerate(COORDINATES)),
+        *((Column(f"rms_{name}", _unit(name)), part.rms[i]) for i, name in enumerate(COORDINATES)),
     ]
 
 
-def _extremes(part: Part) -> list[Value]:
+def _extremes(part: PartMoments) -> list[Value]:
     return [
         value
         for i, axis in enumerate(AXES)
-        for value in ((Quantity(f"min_{axis}", "m"), part.lowest[i]), (Quantity(f"max_{axis}", "m"), part.highest[i]))
+        for value in ((Column(f"min_{axis}", "m"), part.lowest[i]), (Column(f"max_{axis}", "m"), part.highest[i]))
     ]
 
 
-def _correlations(part: Part) -> list[Value]:
+def _correlations(part: PartMoments) -> list[Value]:
     """Return the covariances of different coordinates; variances are the squares of the sizes."""
     units = {0: "", 1: "m", 2: "m^2"}
     return [
         (
-            Quantity(f"cov_{a}_{b}", units[sum(name in AXES for name in (a, b))]),
+            Column(f"cov_{a}_{b}", units[sum(name in AXES for name in (a, b))]),
             part.covariance[i, i + 1 + j],
         )
         for i, a in enumerate(COORDINATES)
@@ -489,34 +491,34 @@ def _correlations(part: Part) -> list[Value]:
     ]
 
 
-def _ellipse(part: Part, axis: int) -> list[Value]:
+def _ellipse(part: PartMoments, axis: int) -> list[Value]:
     name, (alpha, beta, gamma) = AXES[axis], part.twiss(axis)
     return [
-        (Quantity(f"emittance_{name}", "m rad"), part.emittance(axis)),
-        (Quantity(f"geometric_emittance_{name}", "m rad"), part.emittance(axis) / part.speed),
-        (Quantity(f"alpha_{name}"), alpha),
-        (Quantity(f"beta_{name}", "m"), beta * part.speed),
-        (Quantity(f"gamma_{name}", "1/m"), gamma / part.speed),
+        (Column(f"emittance_{name}", "m rad"), part.emittance(axis)),
+        (Column(f"geometric_emittance_{name}", "m rad"), part.emittance(axis) / part.speed),
+        (Column(f"alpha_{name}"), alpha),
+        (Column(f"beta_{name}", "m"), beta * part.speed),
+        (Column(f"gamma_{name}", "1/m"), gamma / part.speed),
     ]
 
 
-def _fourth_moments(part: Part, axis: int) -> list[Value]:
+def _fourth_moments(part: PartMoments, axis: int) -> list[Value]:
     name, powers = AXES[axis], ((4, 0), (3, 1), (2, 2), (1, 3), (0, 4))
     units = ("m^4", "m^3", "m^2", "m", "")
     return [
-        (Quantity(f"moment_{name * a}{f'u{name}' * b}", unit), part.planes[axis, a, b])
+        (Column(f"moment_{name * a}{f'u{name}' * b}", unit), part.planes[axis, a, b])
         for (a, b), unit in zip(powers, units, strict=True)
     ]
 
 
-def _halo(part: Part, axis: int) -> list[Value]:
+def _halo(part: PartMoments, axis: int) -> list[Value]:
     name = AXES[axis]
     return [
-        (Quantity(f"halo_{name}"), part.profile_halo(axis)),
-        (Quantity(f"phase_space_halo_{name}"), part.phase_space_halo(axis)),
+        (Column(f"halo_{name}"), part.profile_halo(axis)),
+        (Column(f"phase_space_halo_{name}"), part.phase_space_halo(axis)),
     ]
 
 
 def _quantiles(name: str, unit: str, values: np.ndarray) -> list[Value]:
     percent = (f"{100 * fraction:g}".replace(".", "_") for fraction in FRACTIONS)
-    return [(Quantity(f"{name}_{text}", unit), value) for text, value in zip(percent, values, strict=True)]
+    return [(Column(f"{name}_{text}", unit), value) for text, value in zip(percent, values, strict=True)]

@@ -16,40 +16,40 @@ from ..mesh.hierarchy import Hierarchy
 from ..parallel import global_sum, global_sums_and_largest
 from ..particles.images import Images, periods
 from ..particles.particles import Particles
-from ..units import VACUUM_PERMITTIVITY, Quantity
+from ..units import VACUUM_PERMITTIVITY, Column
 
 ALL = _native.BeamParts([0], [0], [0.0], [0.0])  # as one part of a beam
 STAGES = ("beam", "migrate", "regrid", "deposit", "solve", "push", "output")
 
 
-def quantities(levels: int) -> list[Quantity]:
+def quantities(levels: int) -> list[Column]:
     """Return what `measure` gives for hierarchies of up to `levels` levels, in the order of the time series."""
     return [
-        Quantity("step", counts=True),
-        Quantity("time", "s"),
-        Quantity("s", "m"),  # path length of the reference particle
-        *(Quantity(f"window_{axis}", "m") for axis in AXES),  # origin of the mesh's coordinates
-        *(Quantity(f"cells_{level}", counts=True) for level in range(levels)),
-        Quantity("boxes", counts=True),
-        Quantity("regridded", counts=True),  # 1 where the step changed the mesh
-        Quantity("particles", counts=True),
-        Quantity("lost_particles", counts=True),
-        Quantity("charge", "C"),
-        Quantity("lost_charge", "C"),
-        Quantity("field_energy", "J"),
-        Quantity("potential_energy", "J"),
-        Quantity("kinetic_energy", "J"),
-        *(Quantity(f"momentum_{axis}", "kg m/s") for axis in AXES),
-        *(Quantity(f"mean_{axis}", "m") for axis in AXES),
-        *(Quantity(f"rms_{axis}", "m") for axis in AXES),
-        *(Quantity(f"emittance_{axis}", "m rad") for axis in AXES),
-        Quantity("cycles", counts=True),
-        Quantity("residual"),
-        Quantity("imbalance_cells"),  # the most of a rank over the mean
-        Quantity("imbalance_particles"),
-        Quantity("memory", "B", counts=True),
-        Quantity("seconds", "s"),
-        *(Quantity(f"seconds_{stage}", "s") for stage in STAGES),
+        Column("step", counts=True),
+        Column("time", "s"),
+        Column("s", "m"),  # path length of the reference particle
+        *(Column(f"window_{axis}", "m") for axis in AXES),  # origin of the mesh's coordinates
+        *(Column(f"cells_{level}", counts=True) for level in range(levels)),
+        Column("boxes", counts=True),
+        Column("regridded", counts=True),  # 1 where the step changed the mesh
+        Column("particles", counts=True),
+        Column("lost_particles", counts=True),
+        Column("charge", "C"),
+        Column("lost_charge", "C"),
+        Column("field_energy", "J"),
+        Column("potential_energy", "J"),
+        Column("kinetic_energy", "J"),
+        *(Column(f"momentum_{axis}", "kg m/s") for axis in AXES),
+        *(Column(f"mean_{axis}", "m") for axis in AXES),
+        *(Column(f"rms_{axis}", "m") for axis in AXES),
+        *(Column(f"emittance_{axis}", "m rad") for axis in AXES),
+        Column("cycles", counts=True),
+        Column("residual"),
+        Column("imbalance_cells"),  # the most of a rank over the mean
+        Column("imbalance_particles"),
+        Column("memory", "B", counts=True),
+        Column("seconds", "s"),
+        *(Column(f"seconds_{stage}", "s") for stage in STAGES),
     ]
 
 

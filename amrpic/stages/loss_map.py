@@ -9,15 +9,15 @@ from mpi4py import MPI
 
 from ..mesh.boxes import unique_rows
 from ..particles.particles import Particles
-from ..units import Quantity
+from ..units import Column
 
 COLUMNS = (
-    Quantity("cause", is_text=True),
-    Quantity("lower", "m"),
-    Quantity("upper", "m"),
-    Quantity("particles", counts=True),
-    Quantity("charge", "C"),
-    Quantity("energy", "J"),
+    Column("cause", is_text=True),
+    Column("lower", "m"),
+    Column("upper", "m"),
+    Column("particles", counts=True),
+    Column("charge", "C"),
+    Column("energy", "J"),
 )
 
 

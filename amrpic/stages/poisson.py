@@ -482,7 +482,7 @@ def _one_of(name: str, value: str, allowed: Sequence[str]) -> None:
 
 
 @dataclass(frozen=True)
-class Operator:
+class CompositeOperator:
     """One sparse operator between the cells of two levels; in the native module, or `entries` of its own."""
 
     hierarchy: Hierarchy
@@ -518,9 +518,9 @@ class Operator:
 class GradientAxis:
     """One component of E = −∇φ: own φ_l + coarse φ_{l−1} + fine φ_{l+1}, in uncovered cells."""
 
-    own: Operator
-    coarse: Operator
-    fine: Operator
+    own: CompositeOperator
+    coarse: CompositeOperator
+    fine: CompositeOperator
 
 
 class LevelOperators:
@@ -535,45 +535,45 @@ class LevelOperators:
         self._fine = _native.operators_of(solver.native, level + 1) if level + 1 < self.hierarchy.levels else None
 
     @property
-    def no_fine(self) -> Operator:
+    def no_fine(self) -> CompositeOperator:
         """Laplacian of the level as if nothing finer existed; in covered cells, which hold corrections alone, what lies
         behind an open wall vanishes where the finest level's ghosts are."""
         return self._operator("no_fine", self._native)
 
     @property
-    def composite(self) -> Operator:
+    def composite(self) -> CompositeOperator:
         """Laplacian in uncovered cells, with the fluxes of the finer level."""
         return self._operator("composite", self._native)
 
     @property
-    def coarse_boundary(self) -> Operator:
+    def coarse_boundary(self) -> CompositeOperator:
         """What the ghost cells of the level take from the next coarser one."""
         return self._operator("coarse_boundary", self._coarse)
 
     @property
-    def fine_boundary(self) -> Operator:
+    def fine_boundary(self) -> CompositeOperator:
         """What the mean fine fluxes take from the next finer level."""
         return self._operator("fine_boundary", self._fine)
 
     @property
-    def restriction(self) -> Operator:
+    def restriction(self) -> CompositeOperator:
         """Mean of the children, in rows of covered cells."""
         return self._operator("restriction", self._fine)
 
     @property
-    def prolongation(self) -> Operator:
+    def prolongation(self) -> CompositeOperator:
         """Values from the next coarser level."""
         return self._operator("prolongation", self._coarse)
 
     @property
-    def uncovered(self) -> Operator:
+    def uncovered(self) -> CompositeOperator:
         """1 on the diagonal where no finer level covers the cell."""
         ones = self._native.uncovered().astype(bool)
         start = np.concatenate([[0], np.cumsum(ones)])
         columns = self._native.first_row + np.flatnonzero(ones)
         size = self._native.rows
         entries = start, columns, np.ones(len(columns))
-        return Operator(self.hierarchy, (size, size), entries, first_column=self._native.first_row)
+        return CompositeOperator(self.hierarchy, (size, size), entries, first_column=self._native.first_row)
 
     @property
     def gradient(self) -> tuple[GradientAxis, ...]:
@@ -587,10 +587,10 @@ class LevelOperators:
             for axis in range(3)
         )
 
-    def _operator(self, name: str, columns: _native.LevelOperators | None, axis: int = 0) -> Operator:
+    def _operator(self, name: str, columns: _native.LevelOperators | None, axis: int = 0) -> CompositeOperator:
         if columns is None:
             empty = np.zeros(self._native.local_rows + 1, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0)
-            return Operator(self.hierarchy, (self._native.rows, 0), empty)
+            return CompositeOperator(self.hierarchy, (self._native.rows, 0), empty)
         shape = self._native.rows, columns.rows
         entries = self._native.rows_of(name, columns, axis)
-        return Operator(self.hierarchy, shape, entries, (self._native, name, axis))
+        return CompositeOperator(self.hierarchy, shape, entries, (self._native, name, axis))

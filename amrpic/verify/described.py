@@ -13,7 +13,7 @@ from ..particles.distributions import halo_core
 from ..scene.bunch_shapes import GaussianBunch, HaloBunch, KVBunch, SphereBunch
 from ..scene.bunches import Bunch, LatticeBunch, Train
 from ..scene.scene import Scene
-from .sources import EPS0, Array, Density, Gaussian, Sphere, Vector
+from .sources import EPS0, Array, Density, GaussianCharge, Sphere, Vector
 
 ExactField = Callable[[Array, Array, Array], Vector]
 
@@ -60,7 +60,7 @@ class Cylinder:
 
 
 @dataclass(frozen=True)
-class Lattice:
+class DisplacedLattice:
     """An even density in a cuboid, shifted along each axis by a sine along that axis: x = a + A sin(2π n a / L)."""
 
     lower: tuple[float, float, float]  # m
@@ -120,17 +120,17 @@ def exact_field(scene: Scene, density: Density) -> ExactField | None:
     faces = {kind for pair in scene.domain.boundary.values() for kind in pair}
     if scene.solver.stretch != (1.0, 1.0, 1.0):
         return None
-    if faces == {"open"} and all(isinstance(part, Gaussian | Sphere) for part in parts):
+    if faces == {"open"} and all(isinstance(part, GaussianCharge | Sphere) for part in parts):
         return lambda *place: _sum_of_fields(parts, *place)
     if faces == {"periodic"} and scene.background == "neutralizing" and len(parts) == 1:
         (lattice,) = parts
-        if isinstance(lattice, Lattice) and lattice.one_axis:
+        if isinstance(lattice, DisplacedLattice) and lattice.one_axis:
             return lattice.field
     return None
 
 
 def _sum_of_fields(parts: tuple[Density, ...], *place: Array) -> Vector:
-    fields = [part.field(*place) for part in parts if isinstance(part, Gaussian | Sphere)]
+    fields = [part.field(*place) for part in parts if isinstance(part, GaussianCharge | Sphere)]
     return tuple(sum(field[axis] for field in fields) for axis in range(3))  # type: ignore[return-value]
 
 
@@ -143,7 +143,7 @@ def _parts(scene: Scene, bunch: Bunch, number: int) -> Iterator[Density]:
                 yield from _train(bunch, number, place)
         case LatticeBunch():
             domain = scene.domain
-            lattice = Lattice(domain.lower, domain.upper, bunch.displacement, bunch.waves, bunch.bunch_charge)
+            lattice = DisplacedLattice(domain.lower, domain.upper, bunch.displacement, bunch.waves, bunch.bunch_charge)
             if np.abs(lattice.wave_numbers() * np.array(bunch.displacement)).max() >= 1:
                 raise InputError(f"bunches.{number}.displacement makes particles overtake each other; make it smaller")
             yield lattice
@@ -155,11 +155,11 @@ def _train(bunch: Train, number: int, place: tuple[float, float, float]) -> Iter
     x, y, z = (plane.size for plane in bunch.planes)
     match bunch:
         case GaussianBunch():
-            yield Gaussian((x, y, z), place, bunch.bunch_charge)
+            yield GaussianCharge((x, y, z), place, bunch.bunch_charge)
         case HaloBunch():
             core = halo_core(bunch.tail_share, bunch.tail_size)
             for size, share in ((core, 1 - bunch.tail_share), (core * bunch.tail_size, bunch.tail_share)):
-                yield Gaussian((size * x, size * y, size * z), place, share * bunch.bunch_charge)
+                yield GaussianCharge((size * x, size * y, size * z), place, share * bunch.bunch_charge)
         case SphereBunch():
             yield Sphere(bunch.radius, place, bunch.bunch_charge)
         case KVBunch():

@@ -64,7 +64,7 @@ class Setting:
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredSetting:
     """What a setting costs and yields."""
 
     setting: Setting
@@ -154,16 +154,16 @@ def settings(scene: Scene, exact: bool, quick: bool) -> list[Setting]:
 # ---- the frontier ----
 
 
-def frontier(measured: Sequence[Measured]) -> list[Measured]:
+def frontier(measured: Sequence[MeasuredSetting]) -> list[MeasuredSetting]:
     """Those that no other beats in both visits and error, cheapest first, among the ones that the solve does not spoil."""
-    best: list[Measured] = []
+    best: list[MeasuredSetting] = []
     for m in sorted((m for m in measured if m.left <= LEFT), key=lambda m: (m.visits, m.error)):
         if not best or m.error < LESS * best[-1].error:
             best.append(m)
     return best
 
 
-def loss(own: Measured, measured: Sequence[Measured]) -> float:
+def loss(own: MeasuredSetting, measured: Sequence[MeasuredSetting]) -> float:
     """What a setting loses to the frontier: 1 on it."""
     best = frontier([*measured, own])
     error = min(m.error for m in best if m.visits <= own.visits)
@@ -171,7 +171,7 @@ def loss(own: Measured, measured: Sequence[Measured]) -> float:
     return max(min(own.error / error, (own.visits - own.cells) / visits), 1.0)
 
 
-def _row(m: Measured, unit: float, own: Measured, measured: Sequence[Measured]) -> list[Cell]:
+def _row(m: MeasuredSetting, unit: float, own: MeasuredSetting, measured: Sequence[MeasuredSetting]) -> list[Cell]:
     s = m.setting
     mark: Cell = "yes" if m in frontier(measured) else ""
     return [
@@ -193,7 +193,7 @@ def _row(m: Measured, unit: float, own: Measured, measured: Sequence[Measured]) 
     ]
 
 
-def draw(measured: Sequence[Measured], own: Measured, title: str, path: Path) -> None:
+def draw(measured: Sequence[MeasuredSetting], own: MeasuredSetting, title: str, path: Path) -> None:
     """Error against seconds: a colour per mesh, a shape per tolerance; the frontier and the scene's own are marked."""
     meshes = list(dict.fromkeys(m.setting.mesh[:2] for m in measured))
     tolerances = list(dict.fromkeys(str(m.setting.tolerance) for m in measured))
@@ -254,7 +254,7 @@ class Law:
         return self.factor * np.asarray(seconds) ** self.power
 
 
-def _orders(measured: Sequence[Measured], name: str, default: Setting) -> Table:
+def _orders(measured: Sequence[MeasuredSetting], name: str, default: Setting) -> Table:
     """What was found of meshes that differ in their base cells alone, solved to the least tolerance."""
     finest = replace(default, tolerance=min(t for t in TOLERANCES if not isinstance(t, str)))
     curves: dict[int, dict[str, tuple[float, float]]] = {}
@@ -361,7 +361,7 @@ class Case:
 
 def _measured(
     comm: MPI.Comm, scene: Scene, density: Density, exact: ExactField | None, tried: Sequence[Setting], largest: int
-) -> Iterator[Measured]:
+) -> Iterator[MeasuredSetting]:
     most = largest * _case(comm, scene, default_of(scene), density).cells
     exact = exact or _reference(scene, density)
     for mesh, order in dict.fromkeys((setting.mesh, setting.order) for setting in tried):
@@ -374,7 +374,7 @@ def _measured(
             yield from (_one(case, setting, exact, by_mesh) for setting in settings_here)
 
 
-def _one(case: Case, setting: Setting, exact: ExactField, by_mesh: float) -> Measured:
+def _one(case: Case, setting: Setting, exact: ExactField, by_mesh: float) -> MeasuredSetting:
     comm, solvers = case.hierarchy.comm, case.set_up(setting.tolerance).solvers
     rho, guess = case.rho, case.guess if setting.warm else None
     comm.Barrier()
@@ -389,7 +389,7 @@ def _one(case: Case, setting: Setting, exact: ExactField, by_mesh: float) -> Mea
         seconds = min(seconds, comm.allreduce(time.perf_counter() - start, op=MPI.MAX))
     error = errors(efield.components, exact)[0]
     cycles = report.cycles + (setting.tolerance == "discretization")
-    return Measured(setting, case.cells, cycles, setup, seconds, error, _apart(efield, case.converged) / by_mesh)
+    return MeasuredSetting(setting, case.cells, cycles, setup, seconds, error, _apart(efield, case.converged) / by_mesh)
 
 
 def _apart(solved: VectorField, reference: VectorField) -> float:

@@ -81,7 +81,7 @@ class Sphere:
 
 
 @dataclass(frozen=True)
-class Gaussian:
+class GaussianCharge:
     """Normal density along each axis.
 
     φ = Q/(2 π^{3/2} ε₀) ∫₀^∞ exp(−Σ x_i² t²/(1 + 2σ_i² t²)) / Π √(1 + 2σ_i² t²) dt, in closed form where it is round.

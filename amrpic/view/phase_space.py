@@ -19,7 +19,7 @@ from ..io.particle_reader import ParticleDump, read
 from ..mesh.pictures import DECADES, ONE_SIGN, divisor
 from ..particles.groups import Groups
 from ..particles.particles import Particles
-from ..stages.beam_diagnostics import Beam, Part, Slice, group_slices, moments_by_kind
+from ..stages.beam_diagnostics import Beam, PartMoments, Slice, group_slices, moments_by_kind
 from ..units import ELEMENTARY_CHARGE, SPEED_OF_LIGHT, prefix_of, quantity
 from .plot import save
 
@@ -96,7 +96,7 @@ def coordinate(particles: Particles, index: int) -> tuple[Array, str]:
     return particles.momentum[:, index - 3] * (SPEED_OF_LIGHT / ELEMENTARY_CHARGE), "eV/c"
 
 
-def draw_plane(particles: Particles, part: Part, name: str, title: str, of_tests: bool = False) -> Figure:
+def draw_plane(particles: Particles, part: PartMoments, name: str, title: str, of_tests: bool = False) -> Figure:
     """Return the picture of the charge in a plane of phase space, with the rms ellipse and the profiles along both axes.
 
     Of test particles, which have none, it shows how many they are by their weights.
@@ -168,7 +168,7 @@ def _draw_profile(panel: Axes, edges: Array, profile: Array, upright: bool) -> N
     panel.margins(0)
 
 
-def _twiss_text(part: Part, axis: int) -> str:
+def _twiss_text(part: PartMoments, axis: int) -> str:
     """Return normalised emittance and Twiss parameters, where there are any."""
     if not part.has_ellipse(axis):
         return "\nno area in this plane"

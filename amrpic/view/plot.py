@@ -17,7 +17,7 @@ from ..io.field_reader import Dump
 from ..io.writer_ranks import one_line
 from ..mesh.domain import AXES
 from ..mesh.pictures import DPI, draw_curve, plane
-from ..mesh.raster import Line, Raster, Spread, line_through
+from ..mesh.raster import ChargeSpread, Line, Raster, line_through
 from ..units import prefix_of, quantity
 from .views import View, kinds_of, of_points
 
@@ -29,7 +29,7 @@ LINES = {"phi": "C0", "E": "C3", "rho": "C2"}  # colours of profiles
 ROUNDING = 1e-12  # of the mean charge per area
 
 
-def figure(dump: Dump, spread: Spread, view: View, values: Raster | list[Array]) -> Figure:
+def figure(dump: Dump, spread: ChargeSpread, view: View, values: Raster | list[Array]) -> Figure:
     """Return the picture of what a view shows. Raises InputError if that is nothing."""
     if isinstance(values, list):
         line = line_through(dump, spread, view.axis)
@@ -50,7 +50,7 @@ def _slice(dump: Dump, view: View, raster: Raster) -> Figure:
     return _plane(dump, raster, symbol, dump.unit(view.quantity), view, title)
 
 
-def _projection(dump: Dump, spread: Spread, view: View, raster: Raster) -> Figure:
+def _projection(dump: Dump, spread: ChargeSpread, view: View, raster: Raster) -> Figure:
     """Return the picture of the integral of a field along an axis."""
     axis = raster.axis
     symbol = f"∫{SYMBOLS.get(view.quantity, view.quantity)} d{AXES[axis]}"

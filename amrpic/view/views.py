@@ -14,7 +14,7 @@ from ..errors import InputError
 from ..io.field_reader import Dump
 from ..mesh.domain import AXES
 from ..mesh.periods import wrapped_along
-from ..mesh.raster import Line, Raster, Spread, line_through, line_values, projection, slice_through
+from ..mesh.raster import ChargeSpread, Line, Raster, line_through, line_values, projection, slice_through
 from ..mesh.sampling import Request, fitted_values
 
 Array = NDArray[Any]
@@ -102,7 +102,7 @@ def require(dump: Dump, view: View) -> None:
             raise _not_an_option(option.name, view)
 
 
-def numbers(dump: Dump, spread: Spread, view: View) -> Raster | list[Array]:
+def numbers(dump: Dump, spread: ChargeSpread, view: View) -> Raster | list[Array]:
     """Return what a view shows: a raster, or a profile for each quantity. Collective over the ranks that share the dump."""
     if view.kind == "line":
         line = line_through(dump, spread, view.axis)
@@ -129,7 +129,7 @@ def _require_level(dump: Dump, level: int | None) -> None:
         raise InputError(f"level {level} does not exist in {dump.path}; it has levels 0 to {len(dump.levels) - 1}")
 
 
-def _position(dump: Dump, spread: Spread, view: View) -> float:
+def _position(dump: Dump, spread: ChargeSpread, view: View) -> float:
     """Return where a slice is along its axis, m. Raises InputError if that is outside the domain."""
     axis = view.normal
     position = float(spread.centre[axis]) if view.position is None else view.position

@@ -19,7 +19,7 @@ import numpy as np
 from mpi4py import MPI
 
 from amrpic.scaling.measure import UNCOUNTED
-from amrpic.scaling.measured import Measured, Run
+from amrpic.scaling.measured import Measured, MeasuredRun
 from amrpic.scaling.study import grown, launch
 from amrpic.scene.scene import Scene
 
@@ -109,7 +109,7 @@ def calibrate(
 
 def _runs(
     folder: Path, launcher: str, cores: int, clock: str, repeat: int, say: Callable[[str], None]
-) -> Iterator[Run]:
+) -> Iterator[MeasuredRun]:
     """Yield runs of scenes of all sizes on one rank and on all cores, in turns; they are named by the number of their size."""
     for turn in range(repeat):
         for number, size in enumerate(SIZES):
@@ -120,7 +120,7 @@ def _runs(
                 output = folder / f"{turn}_{number}_{ranks}.json"
                 arguments = [output, scene, "strong", number, STEPS, clock, "apart", *_for(scene, ranks)]
                 launch(launcher, ranks, ["amrpic.scaling.measure", *map(str, arguments)], "a calibration")
-                yield Run.read(output)
+                yield MeasuredRun.read(output)
 
 
 def middle(one: Measured) -> int:
@@ -128,7 +128,7 @@ def middle(one: Measured) -> int:
     return UNCOUNTED + (one.steps // one.runs + 1) // 2
 
 
-def least_disturbed(runs: Sequence[Run]) -> list[Measured]:
+def least_disturbed(runs: Sequence[MeasuredRun]) -> list[Measured]:
     """Return the medians of the fastest run of each number of ranks, with each stage from the run in which it was fastest.
 
     Others may use the machine for as long as a run takes, and the system may have to find memory for some of its stages.
@@ -150,7 +150,7 @@ def _for(scene: Path, ranks: int) -> list[str]:
 
 
 def measured(
-    runs: Sequence[Run], scenes: Sequence[Path], say: Callable[[str], None]
+    runs: Sequence[MeasuredRun], scenes: Sequence[Path], say: Callable[[str], None]
 ) -> dict[int, list[tuple[Measured, Plan]]]:
     """Return by ranks the medians of runs, which are named by the numbers of their scenes, with plans of these."""
     found: dict[int, list[tuple[Measured, Plan]]] = {}

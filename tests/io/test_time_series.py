@@ -15,13 +15,13 @@ from amrpic.errors import InputError, OutputError
 from amrpic.io import time_series
 from amrpic.io.provenance import Provenance
 from amrpic.io.time_series import Series
-from amrpic.units import Quantity
+from amrpic.units import Column
 
 COLUMNS = [
-    Quantity("step", counts=True),
-    Quantity("time", "s"),
-    Quantity("particles", counts=True),
-    Quantity("charge", "C"),
+    Column("step", counts=True),
+    Column("time", "s"),
+    Column("particles", counts=True),
+    Column("charge", "C"),
 ]
 ABOUT = Provenance({"name": "test"}, "0.1.0", 42)
 
@@ -128,9 +128,9 @@ from pathlib import Path
 from mpi4py import MPI
 from amrpic.io.provenance import Provenance
 from amrpic.io.time_series import Series
-from amrpic.units import Quantity
+from amrpic.units import Column
 
-file = Series(MPI.COMM_SELF, Path(sys.argv[1]), [Quantity("step", counts=True), Quantity("value")], Provenance())
+file = Series(MPI.COMM_SELF, Path(sys.argv[1]), [Column("step", counts=True), Column("value")], Provenance())
 for step in range(10**9):
     file.append({"step": step, "value": step / 3})
 """

@@ -15,7 +15,7 @@ from amrpic.errors import InputError
 from amrpic.io import time_series
 from amrpic.io.provenance import Provenance
 from amrpic.io.time_series import Series
-from amrpic.units import ELECTRON_MASS, SPEED_OF_LIGHT, Quantity
+from amrpic.units import ELECTRON_MASS, SPEED_OF_LIGHT, Column
 from mpi_batch import ENVIRONMENT
 
 GROUPS = ["all", "electron", "proton", "bunch_0", "pair_0", "pair_1"]
@@ -253,7 +253,7 @@ def test_ranks_that_wait_within_a_diagnostic_end_with_the_one_that_failed(tmp_pa
 
 
 def test_columns_of_text_are_kept_over_a_restart(comm, tmp_path):
-    columns = [Quantity("step", counts=True), Quantity("group", is_text=True), Quantity("value", "m")]
+    columns = [Column("step", counts=True), Column("group", is_text=True), Column("value", "m")]
     path = tmp_path / "table.csv"
     table = Series(comm, path, columns, Provenance())
     for step in range(3):

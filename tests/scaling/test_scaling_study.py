@@ -16,7 +16,7 @@ import mpi_batch
 from amrpic.errors import InputError
 from amrpic.run.clock import Spent
 from amrpic.scaling.measure import measure, over_ranks
-from amrpic.scaling.measured import Measured, Run, Stage, by_kind, efficiency, medians
+from amrpic.scaling.measured import Measured, MeasuredRun, Stage, by_kind, efficiency, medians
 from amrpic.scaling.show import draw, stage_table, table
 from amrpic.scaling.study import ROOT, Study, grown, launch
 from amrpic.scene.scene import Scene
@@ -33,10 +33,10 @@ def one(kind: str, ranks: int, cells: int, particles: int, seconds: float) -> Me
     )
 
 
-def run(seconds: list[float], kind: str = "strong", ranks: int = 1) -> Run:
+def run(seconds: list[float], kind: str = "strong", ranks: int = 1) -> MeasuredRun:
     steps = [{"solve": Stage(s / 4, s / 3, s / 2)} for s in seconds]
     cycles, cells, meshes = ([number] * len(seconds) for number in (2, 10, 0))
-    return Run(kind, ranks, "x", cells, 10, 1.0, 1.0, (1, 2, 3), cycles, seconds, steps, meshes, 0.1)
+    return MeasuredRun(kind, ranks, "x", cells, 10, 1.0, 1.0, (1, 2, 3), cycles, seconds, steps, meshes, 0.1)
 
 
 def test_efficiency_is_one_where_time_falls_with_ranks_or_work_grows_with_them():
@@ -68,7 +68,7 @@ def test_what_new_meshes_take_more_stands_apart():
 
     usual, with_two = step(1, 1, waiting=5), step(4, 3, waiting=9, regrid=6)
     given = ([3, 9, 2], [1.0] * 3, [usual, with_two, usual], [0, 2, 0], 0.1)
-    found = Measured.of([Run("strong", 1, "x", [10, 12, 14], 10, 1.0, 1.0, (1, 2, 3), *given)])
+    found = Measured.of([MeasuredRun("strong", 1, "x", [10, 12, 14], 10, 1.0, 1.0, (1, 2, 3), *given)])
     assert found.stages["solve"].most == 1 and found.stages["new solver"].most == 3
     assert found.stages["new mesh"].most == (2 + 6) / 2  # for each of two
     assert (found.meshes, found.remade) == pytest.approx((2 / 3, 1 / 3)) and found.of_solves == [3, 2]

@@ -16,7 +16,7 @@ from amrpic.io import time_series
 from amrpic.particles import thermal_equilibrium
 from amrpic.particles.distributions import thermal
 from amrpic.particles.groups import Groups
-from amrpic.particles.phase_space import Plane
+from amrpic.particles.phase_space import PhasePlane
 from amrpic.particles.sampling import draw
 from amrpic.pic.initial_particles import make_particles
 from amrpic.scene.scene import Scene
@@ -47,7 +47,7 @@ def scene(**bunch: Any) -> Scene:
     return Scene.from_dict({"domain": domain, "bunches": bunches})
 
 
-def across(**bunch: Any) -> Plane:
+def across(**bunch: Any) -> PhasePlane:
     (made,) = scene(**bunch).bunches
     assert isinstance(made, ThermalBunch)
     return made.planes[0]

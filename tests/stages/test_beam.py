@@ -14,7 +14,7 @@ from mpi4py import MPI
 from amrpic.errors import ParticleError
 from amrpic.particles import distributions
 from amrpic.particles.particles import Particles
-from amrpic.particles.phase_space import PhaseSpace, Plane
+from amrpic.particles.phase_space import PhasePlane, PhaseSpace
 from amrpic.particles.sampling import draw
 from amrpic.particles.species import Species
 from amrpic.pic.initial_particles import make_particles
@@ -29,7 +29,7 @@ UNIT = Species(charge=1.0, mass=2.0)
 KIND: dict[str, Any] = {"bunch_charge": 1e-11, "species": Species(charge=1.6e-19, mass=9.1e-31)}
 CENTRE = (0.1, -0.2, 0.05)
 SPACE = PhaseSpace(
-    CENTRE, [Plane(2.5e-3, -4e-25, 1e-24), Plane(1e-3, 0.0, 0.0), Plane(5e-3, 0.0, 2e-24)], (0, 0, 1e-22)
+    CENTRE, [PhasePlane(2.5e-3, -4e-25, 1e-24), PhasePlane(1e-3, 0.0, 0.0), PhasePlane(5e-3, 0.0, 2e-24)], (0, 0, 1e-22)
 )
 
 # The distributions; <x_i^4> of x, z, p_x, p_z; and exact moments across planes or of the radius: name -> (function, value).
@@ -227,7 +227,7 @@ def test_bunches_of_a_train_differ(comm, sampling):
 @pytest.mark.mpi(ranks=(1, 2))
 def test_no_particles_and_no_size_are_legal(comm):
     assert len(sampled(comm, count=0)) == 0
-    point = PhaseSpace(CENTRE, 3 * [Plane(0.0)])
+    point = PhaseSpace(CENTRE, 3 * [PhasePlane(0.0)])
     assert (beam.sampled(comm, 10, distributions.waterbag, point, **KIND).position == CENTRE).all()
     nothing = beam.from_arrays(comm, np.empty((0, 3)), **KIND)
     assert nothing.global_count(comm) == 0

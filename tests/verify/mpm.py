@@ -15,7 +15,7 @@ from mpi4py import MPI
 from amrpic import fem, mpm
 from amrpic.fem.solve import Preconditioner
 from amrpic.mpm.conditions import held_by
-from amrpic.mpm.state import Plan, State
+from amrpic.mpm.state import LoadState, Plan
 from amrpic.mpm.step import begin
 from amrpic.parallel import from_rank_0, global_sum
 from amrpic.verify.draw import picture
@@ -68,12 +68,12 @@ def scene(changes: Mapping[str, Any]) -> mpm.Scene:
     return mpm.Scene.from_dict({"name": "verify", "output": {"write": []}, **changes})
 
 
-def states(comm: MPI.Comm, changes: Mapping[str, Any]) -> Iterator[State]:
+def states(comm: MPI.Comm, changes: Mapping[str, Any]) -> Iterator[LoadState]:
     """The states of a run after each step. Collective."""
     yield from mpm.Simulation(comm, scene(changes))
 
 
-def _stress(state: State) -> np.ndarray:
+def _stress(state: LoadState) -> np.ndarray:
     """Cauchy's stress at this rank's points, without the floor's. Collective."""
     rest = np.zeros((len(state.placed.mesh.nodes), 3))
     return state.placed.solid.states(rest).cauchy[state.placed.body]
@@ -287,7 +287,7 @@ class Pressed:
     """Rows of the series of a run, and its points at the end."""
 
     rows: Sequence[Mapping[str, float]]
-    last: State
+    last: LoadState
 
     @classmethod
     def of(cls, comm: MPI.Comm, changes: Mapping[str, Any]) -> Pressed:

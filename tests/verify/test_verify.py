@@ -19,7 +19,7 @@ from amrpic.scene import solver_options
 from amrpic.scene.scene import Scene
 from amrpic.units import VACUUM_PERMITTIVITY as EPS0
 from amrpic.verify import pareto, write
-from amrpic.verify.described import Cylinder, Lattice, density_of, exact_field
+from amrpic.verify.described import Cylinder, DisplacedLattice, density_of, exact_field
 from amrpic.verify.table import Goal, Table
 from exact.meshes import MESHES
 from exact.sources import Gaussian, Layer, Plummer, Product, Sphere, Together, Wave
@@ -211,7 +211,7 @@ def test_density_of_an_example_is_that_of_its_particles(path):
 
 
 def test_field_of_shifted_sheets_obeys_gauss():
-    lattice = Lattice((0, 0, 0), (1, 1, 1), (0.05, 0, 0), (2, 1, 1), EPS0)
+    lattice = DisplacedLattice((0, 0, 0), (1, 1, 1), (0.05, 0, 0), (2, 1, 1), EPS0)
     x = np.linspace(0.0, 1.0, 41)
     y = np.array([0.0, 1.0])
     flux = lattice.field(x[:, None, None], np.zeros((1, 1, 1)), np.zeros((1, 1, 1)))[0].ravel()
@@ -253,7 +253,7 @@ def test_no_exact_field_is_claimed_between_metal_walls():
 
 def measured(cells, cycles, error, left=0.0):
     setting = pareto.Setting((8, 8, 8), 0, 32, 2, "discretization", False)
-    return pareto.Measured(setting, cells, cycles, 0.0, 0.0, error, left)
+    return pareto.MeasuredSetting(setting, cells, cycles, 0.0, 0.0, error, left)
 
 
 def test_frontier_holds_what_nothing_beats():

@@ -240,18 +240,23 @@ def oriented(triangles: Ints) -> tuple[Ints, Ints]:
 
 
 def outward(points: Floats, triangles: Ints, piece: Ints) -> Ints:
-    """Return triangles with pieces that are inside out turned, unless they lie in another piece: a hollow in that."""
-    inside_out = np.bincount(piece, volumes(points[triangles])) < 0
+    """Return triangles with pieces that are inside out turned, unless they lie in other pieces: hollows in these."""
+    parts = volumes(points[triangles])
+    if parts.sum() < 0:
+        triangles, parts = triangles[:, ::-1], -parts
+    inside_out = np.bincount(piece, parts) < 0
     if not inside_out.any():
         return triangles
     every = np.where(inside_out[piece][:, None], triangles[:, ::-1], triangles)
-    numbers = np.flatnonzero(inside_out)
-    corner = points[every[np.unique(piece, return_index=True)[1][numbers], 0]]
+    chosen = np.flatnonzero(inside_out[piece])
+    corner, owner = points[every[chosen, 0]], piece[chosen]
     surface = _native.Triangles(points[every].reshape(-1, 9), np.ones(len(every), np.int32))
     line, parameter, depth, met, _ = surface.crossings(corner, np.tile((1.0, 0.0, 0.0), (len(corner), 1)))
-    around = (parameter < 0) & (piece[met] != numbers[line])
-    hollow = numbers[np.bincount(line[around], depth[around], len(numbers)) > 0]
-    return np.where(np.isin(piece, hollow)[:, None], triangles, every)
+    around = (parameter < 0) & (piece[met] != owner[line])
+    free = np.bincount(line[around], depth[around], len(corner)) <= 0
+    hollow = inside_out.copy()
+    hollow[owner[free]] = False
+    return np.where(hollow[piece][:, None], triangles, every)
 
 
 def filled(points: Floats, triangles: Ints) -> tuple[Floats, Ints, int, int]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -87,25 +88,23 @@ def read_stl(path: str | os.PathLike[str]) -> Floats:
 
 def read_text(path: str | os.PathLike[str], data: bytes) -> Floats:
     """Return the corners (n, 3, 3) of an STL file of text. Raises InputError."""
-    words = data.lower().split(b"\n")
-    lines = [line.split() for line in words]
-    rows = [(number, line[1:]) for number, line in enumerate(lines, 1) if line[:1] == [b"vertex"]]
-    for number, numbers in rows:
-        if len(numbers) != 3:
-            raise InputError(f"Mesh: {path} has a vertex of {len(numbers)} numbers in line {number}; write three")
+    text = data.lower()
+    rows = re.findall(rb"vertex((?:[ \t]+\S+){3})[ \t\r]*$", text, re.MULTILINE)
+    facets = len(re.findall(rb"^[ \t]*facet\b", text, re.MULTILINE))
     try:
-        corners = np.array([numbers for _, numbers in rows]).reshape(-1, 3).astype(float)
+        corners = np.array(b" ".join(rows).split(), float).reshape(-1, 3)
     except ValueError:
-        number = next(number for number, numbers in rows if not all(map(is_number, numbers)))
-        text = words[number - 1].decode(errors="replace").strip()[:60]
-        raise InputError(f'Mesh: {path} has "{text}" in line {number}; write "vertex" and three numbers') from None
-    facets = sum(line[:1] == [b"facet"] for line in lines)
-    if len(corners) != 3 * facets:
-        raise InputError(
-            f"Mesh: {path} has {len(corners)} corners in {facets} facets; each needs three, so it may be cut off: "
-            "export it again"
-        )
-    return corners.reshape(-1, 3, 3)
+        corners = np.empty((0, 3))
+    if len(corners) == 3 * facets and len(rows) == text.count(b"vertex"):
+        return corners.reshape(-1, 3, 3)
+    for number, line in enumerate(text.split(b"\n"), 1):
+        words = line.split()
+        if words[:1] == [b"vertex"] and not (len(words) == 4 and all(map(is_number, words[1:]))):
+            found = line.decode(errors="replace").strip()[:60]
+            raise InputError(f'Mesh: {path} has "{found}" in line {number}; write "vertex" and three numbers')
+    raise InputError(
+        f"Mesh: {path} has {len(rows)} corners in {facets} facets; each needs three, so it may be cut off: export it again"
+    )
 
 
 def is_number(word: bytes) -> bool:
@@ -240,18 +239,23 @@ def oriented(triangles: Ints) -> tuple[Ints, Ints]:
 
 
 def outward(points: Floats, triangles: Ints, piece: Ints) -> Ints:
-    """Return triangles with pieces that are inside out turned, unless they lie in another piece: a hollow in that."""
-    inside_out = np.bincount(piece, volumes(points[triangles])) < 0
+    """Return triangles with pieces that are inside out turned, unless they lie in other pieces: hollows in these."""
+    parts = volumes(points[triangles])
+    if parts.sum() < 0:
+        triangles, parts = triangles[:, ::-1], -parts
+    inside_out = np.bincount(piece, parts) < 0
     if not inside_out.any():
         return triangles
     every = np.where(inside_out[piece][:, None], triangles[:, ::-1], triangles)
-    numbers = np.flatnonzero(inside_out)
-    corner = points[every[np.unique(piece, return_index=True)[1][numbers], 0]]
+    chosen = np.flatnonzero(inside_out[piece])
+    corner, owner = points[every[chosen, 0]], piece[chosen]
     surface = _native.Triangles(points[every].reshape(-1, 9), np.ones(len(every), np.int32))
     line, parameter, depth, met, _ = surface.crossings(corner, np.tile((1.0, 0.0, 0.0), (len(corner), 1)))
-    around = (parameter < 0) & (piece[met] != numbers[line])
-    hollow = numbers[np.bincount(line[around], depth[around], len(numbers)) > 0]
-    return np.where(np.isin(piece, hollow)[:, None], triangles, every)
+    around = (parameter < 0) & (piece[met] != owner[line])
+    free = np.bincount(line[around], depth[around], len(corner)) <= 0
+    hollow = inside_out.copy()
+    hollow[owner[free]] = False
+    return np.where(hollow[piece][:, None], triangles, every)
 
 
 def filled(points: Floats, triangles: Ints) -> tuple[Floats, Ints, int, int]:

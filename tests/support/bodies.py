@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from matplotlib.path import Path
 
 from amrpic import shapes
 
-Contains = Callable[[np.ndarray], np.ndarray]
+Contains = Callable[[np.ndarray], Any]  # (n, 3) points: booleans
 
 PROFILE = ((-0.5, 0.1), (0.5, 0.1), (0.5, 0.4), (0.2, 0.4), (0.2, 0.2), (-0.3, 0.3))
 
@@ -49,7 +50,7 @@ def in_profile(points):
 
 
 START, END = (-0.3, -0.2, -0.4), (0.4, 0.3, 0.1)
-# Name -> body, what lies in it, its volume, its surface. None reaches beyond 0.8 m, except the half space.
+# Name -> body, and what lies in it. None reaches beyond 0.8 m, except the half space.
 BODIES: dict[str, tuple[shapes.Shape, Contains]] = {
     "sphere": (shapes.Sphere((0.1, 0.2, -0.1), 0.5), lambda p: ((p - (0.1, 0.2, -0.1)) ** 2).sum(axis=1) <= 0.25),
     "box": (
@@ -64,7 +65,7 @@ BODIES: dict[str, tuple[shapes.Shape, Contains]] = {
     "cone": (shapes.Cone(START, END, 0.3, 0.1), in_cone(START, END, 0.3, 0.1)),
     "cone with a tip": (shapes.Cone((0, 0, -0.4), (0, 0, 0.4), 0, 0.4), in_cone((0, 0, -0.4), (0, 0, 0.4), 0, 0.4)),
     "torus": (shapes.Torus((0, 0.1, 0), (1, 2, 3), 0.45, 0.2), in_torus((0, 0.1, 0), (1, 2, 3), 0.45, 0.2)),
-    "thin torus": (shapes.Torus((0, 0, 0), "z", 0.6, 0.01), in_torus((0, 0, 0), (0, 0, 1), 0.6, 0.01)),
+    "thin torus": (shapes.Torus((0, 0, 0), (0, 0, 1), 0.6, 0.01), in_torus((0, 0, 0), (0, 0, 1), 0.6, 0.01)),
     "half space": (shapes.Plane((0, 0, 0.1), (1, 1, 0)), lambda p: p[:, 0] + p[:, 1] <= 0),
     "profile": (shapes.Revolved(PROFILE), in_profile),
     "level set": (shapes.LevelSet(ellipsoid, (-0.7,) * 3, (0.7,) * 3), lambda p: ellipsoid(*p.T) <= 0),

@@ -58,3 +58,27 @@ def write_text(path: Path, triangles: np.ndarray) -> Path:
         lines += ["endloop", "endfacet"]
     path.write_text("\n".join([*lines, "endsolid body", ""]))
     return path
+
+
+def torus(around: int, radius: float = 0.7, tube: float = 0.25) -> np.ndarray:
+    """Return a torus about z whose corners lie on it."""
+    phi = np.linspace(0, 2 * np.pi, around, endpoint=False)[:, None]
+    psi = np.linspace(0, 2 * np.pi, around // 2, endpoint=False)
+    distance = radius + tube * np.cos(psi)
+    points = np.stack([distance * np.cos(phi), distance * np.sin(phi), tube * np.sin(psi) + 0 * phi], axis=-1)
+    beside = np.roll(points, -1, axis=0)
+    quads = np.stack([points, beside, np.roll(beside, -1, axis=1), np.roll(points, -1, axis=1)], axis=2)
+    quads = quads.reshape(-1, 4, 3)
+    return np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+
+
+def winding_number(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Return how often a surface goes around each point (n,), by solid angles (van Oosterom and Strackee)."""
+    total = np.zeros(len(points))
+    for corners in triangles:
+        a, b, c = (corner - points for corner in corners)
+        la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
+        above = (a * np.cross(b, c)).sum(axis=1)
+        below = la * lb * lc + (a * b).sum(axis=1) * lc + (b * c).sum(axis=1) * la + (c * a).sum(axis=1) * lb
+        total += 2 * np.arctan2(above, below)
+    return total / (4 * np.pi)

@@ -54,7 +54,7 @@ void Coarsening::restrict_rows() {
       "restrict", on.parent_rows, KOKKOS_LAMBDA(Worker const& worker, std::int32_t n) {
         ParentRow const& of = on.parent_rows(n);
         Block const& block = on.blocks(of.block);
-        matrixfree::restrict_to<of_residual>(on.taking(of.block), of.y, of.z, level, level.rows + block.first_row,
+        matrixfree::restrict_to<of_residual, true>(on.taking(of.block), of.y, of.z, level, level.rows + block.first_row,
                                              block.ny, block.nz, weight, level.composed_rows(), r.data(), e.data(),
                                              out.data(), worker);
       });
@@ -110,9 +110,11 @@ void Coarsening::prolong_rows(bool set) {
         RowPlace const& of = own(n);
         matrixfree::Row const& row = level.rows[n];
         worker.with_kind(row.lanes, true, [&](auto lanes, auto) {
-          matrixfree::prolong<lanes()>(on.sources(of.block), of.j, of.k, level, row, values.data(), set, r.data(), e.data(),
+          matrixfree::prolong<lanes()>(on.sources(of.block), of.j, of.k, row, values.data(), set, r.data(), e.data(),
                                        worker);
         });
+        worker.barrier();
+        clear_solid(level, row, e.data() + row.place, worker);
       });
 }
 

@@ -28,8 +28,10 @@ SweptLevel::SweptLevel(Communicator const& comm, matrixfree::SweptLevel& plan)
   static_cast<matrixfree::RowTable&>(tables_) = stencil.table();
   tables_.rows = rows_.data(), tables_.runs = runs_.data(), tables_.coefficients = coefficients_.data();
   tables_.first_run = nullptr;  // rows are composed run by run
-  metal_rows_ = on_device(stencil.metal_rows()), cuts_ = on_device(stencil.cuts()), solids_ = on_device(stencil.solids());
+  metal_of_ = on_device(stencil.metal_of()), metal_rows_ = on_device(stencil.metal_rows());
+  cuts_ = on_device(stencil.cuts()), solids_ = on_device(stencil.solids());
   cut_values_ = Array<float>("values of cut cells", cuts_.extent(0));
+  tables_.metal_of = metal_of_.extent(0) > 0 ? metal_of_.data() : nullptr;
   tables_.metal_rows = metal_rows_.data(), tables_.cuts = cuts_.data(), tables_.solids = solids_.data();
   tables_.cut_values = cut_values_.data();
   composed_ = Array<float>("composed rows", std::size_t(first_composed.back()) * std::size_t(tables_.composed_pitch));
@@ -65,9 +67,9 @@ void SweptLevel::half_sweep(Part const& rows, matrixfree::HalfSweep const& half,
         if (row.steps > reach) return;
         worker.with_kind(row.lanes, level.isotropic, [&](auto lanes, auto isotropic) {
           if (from_zero)
-            matrixfree::relax_from_zero<lanes()>(level, row, colour, r.data(), e.data(), worker);
+            matrixfree::relax_from_zero<lanes(), true>(level, row, colour, r.data(), e.data(), worker);
           else
-            matrixfree::relax<lanes(), isotropic()>(level, row, colour, level.composed_rows(), r.data(), e.data(),
+            matrixfree::relax<lanes(), isotropic(), true>(level, row, colour, level.composed_rows(), r.data(), e.data(),
                                                     worker);
         });
       });

@@ -62,6 +62,7 @@ class SweptLevel {
   matrixfree::SweptLevel& plan_;
   Array<matrixfree::Row> rows_;
   Array<matrixfree::ScaledRun> runs_;
+  Array<std::int32_t> metal_of_;
   Array<matrixfree::MetalRow> metal_rows_;
   Array<matrixfree::CutPlace> cuts_;
   Array<matrixfree::SolidRun> solids_;

@@ -66,6 +66,14 @@ void SecondOrderResidual::residual_plane(int l, int b, int k, Source const& sour
   ghosts_.for_each_refined(l, b, k, cells, [&](std::ptrdiff_t at, int axis, int, Real excess) {
     plane_[std::size_t(at - k * plane)] -= formula.equation.weight[axis] * excess;
   });
+  if (mesh_.metal()) residual_beside_metal(l, b, k, source, cells);
+  mesh_.clear_covered(l, b, k, plane_.data());
+}
+
+/// The same beside metal, and zero in it. Kept apart from the loops over planes.
+void SecondOrderResidual::residual_beside_metal(int l, int b, int k, Source const& source, Real const* cells) {
+  std::ptrdiff_t const plane = mesh_.box(l, b).stride(2);
+  Real const *const c = cells + k * plane, *const rho = source.rho.level(l).data() + mesh_.offset(l, b) + k * plane;
   mesh_.for_each_in_metal(
       l, b, k,
       [&](CutCell const& cut, CutRow const& row, std::ptrdiff_t at) {
@@ -76,7 +84,16 @@ void SecondOrderResidual::residual_plane(int l, int b, int k, Source const& sour
                                   of_surfaces(l, b, cut, row, source);
       },
       [&](std::ptrdiff_t at, int) { plane_[std::size_t(at)] = 0; });
-  mesh_.clear_covered(l, b, k, plane_.data());
+}
+
+void SecondOrderResidual::right_hand_side_beside_metal(int l, int b, int k, Source const& source) {
+  Real const* const rho = source.rho.level(l).data() + mesh_.offset(l, b) + k * mesh_.box(l, b).stride(2);
+  mesh_.for_each_in_metal(
+      l, b, k,
+      [&](CutCell const& cut, CutRow const& row, std::ptrdiff_t at) {
+        plane_[std::size_t(at)] = row.scale * source.background.right_hand_side(rho[at]) - of_data(l, b, cut, row, source);
+      },
+      [&](std::ptrdiff_t at, int) { plane_[std::size_t(at)] = 0; });
 }
 
 /// What the potentials of the surfaces beside a cut cell add to its Laplacian.
@@ -108,13 +125,7 @@ Real SecondOrderResidual::of_data(int l, int b, CutCell const& cut, CutRow const
 void SecondOrderResidual::right_hand_side_plane(int l, int b, int k, Source const& source) {
   source_plane(l, b, k, source);
   for_each_wall_term(l, b, k, source, [&](std::ptrdiff_t at, Real term) { plane_[std::size_t(at)] -= term; });
-  Real const* const rho = source.rho.level(l).data() + mesh_.offset(l, b) + k * mesh_.box(l, b).stride(2);
-  mesh_.for_each_in_metal(
-      l, b, k,
-      [&](CutCell const& cut, CutRow const& row, std::ptrdiff_t at) {
-        plane_[std::size_t(at)] = row.scale * source.background.right_hand_side(rho[at]) - of_data(l, b, cut, row, source);
-      },
-      [&](std::ptrdiff_t at, int) { plane_[std::size_t(at)] = 0; });
+  if (mesh_.metal()) right_hand_side_beside_metal(l, b, k, source);
   mesh_.clear_covered(l, b, k, plane_.data());
 }
 

@@ -88,6 +88,8 @@ class SecondOrderResidual : public CompositeResidual {
   }
   template <class F>
   void for_each_wall_term(int l, int b, int k, Source const& source, F&& f) const;
+  [[gnu::noinline]] void residual_beside_metal(int l, int b, int k, Source const& source, Real const* cells);
+  [[gnu::noinline]] void right_hand_side_beside_metal(int l, int b, int k, Source const& source);
   Real of_surfaces(int l, int b, CutCell const& cut, CutRow const& row, Source const& source) const;
   Real of_data(int l, int b, CutCell const& cut, CutRow const& row, Source const& source) const;
   template <class F>

@@ -68,12 +68,14 @@ Stencil::Stencil(Level const& level, Layout const& layout, LevelFaces const& fac
   rows_.shrink_to_fit(), runs_.shrink_to_fit(), first_run_.shrink_to_fit();
   known_.clear();
   cut_values_.resize(cuts_.size());
+  if (!metal_of_.empty()) metal_of_.resize(rows_.size(), -1);
 }
 
 RowTable Stencil::table() const {
   RowTable out = table_;
   out.rows = rows_.data(), out.runs = runs_.data(), out.first_run = first_run_.data(), out.coefficients = pool_.data();
-  if (!metal_rows_.empty()) out.metal_rows = metal_rows_.data();
+  if (!metal_of_.empty()) out.metal_of = metal_of_.data();
+  out.metal_rows = metal_rows_.data();
   out.cuts = cuts_.data(), out.solids = solids_.data(), out.cut_values = cut_values_.data();
   return out;
 }
@@ -266,7 +268,8 @@ void Stencil::add_metal(Level const& level, CellBlock const& block, BoxFaces con
 void Stencil::add_metal_row(Row& row, std::array<std::vector<CutPlace>, 2> const& cuts,
                             std::vector<SolidRun> const& solids) {
   if (cuts[0].empty() && cuts[1].empty() && solids.empty()) return;
-  row.metal = std::int32_t(metal_rows_.size());
+  metal_of_.resize(rows_.size(), -1);
+  metal_of_[std::size_t(&row - rows_.data())] = std::int32_t(metal_rows_.size());
   metal_rows_.push_back({std::int32_t(cuts_.size()),
                          {std::int32_t(cuts[0].size()), std::int32_t(cuts[1].size())},
                          std::int32_t(solids_.size()),

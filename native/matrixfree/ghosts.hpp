@@ -60,6 +60,7 @@ class Stencil {
   std::vector<ScaledRun> const& runs() const { return runs_; }
   std::vector<std::int32_t> const& first_runs() const { return first_run_; }
   Vector const& coefficients() const { return pool_; }
+  std::vector<std::int32_t> const& metal_of() const { return metal_of_; }  ///< of each row, if any has metal
   std::vector<MetalRow> const& metal_rows() const { return metal_rows_; }
   std::vector<CutPlace> const& cuts() const { return cuts_; }
   std::vector<SolidRun> const& solids() const { return solids_; }
@@ -88,6 +89,7 @@ class Stencil {
   std::vector<std::int32_t> first_run_{0};
   Vector pool_;  ///< coefficients, which many rows share
   std::unordered_map<std::string, std::int32_t> known_;
+  std::vector<std::int32_t> metal_of_;
   std::vector<MetalRow> metal_rows_;
   std::vector<CutPlace> cuts_;
   std::vector<SolidRun> solids_;

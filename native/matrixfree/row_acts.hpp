@@ -24,7 +24,7 @@ struct Thread {
 template <class Worker, class F>
 KOKKOS_INLINE_FUNCTION void for_each_cut(RowTable const& level, Row const& row, int parity, Worker const& worker,
                                          F const& f) {
-  MetalRow const& metal = level.metal_rows[row.metal];
+  MetalRow const& metal = level.metal(row);
   int const first = metal.first_cut + (parity == 0 ? 0 : metal.cuts[0]);
   worker.for_each(metal.cuts[std::size_t(parity)], [&](int n) { f(level.cuts[first + n], first + n); });
 }
@@ -33,7 +33,7 @@ KOKKOS_INLINE_FUNCTION void for_each_cut(RowTable const& level, Row const& row, 
 template <class Worker>
 [[gnu::noinline]] KOKKOS_INLINE_FUNCTION void clear_solid(RowTable const& level, Row const& row, float* values, Worker const& worker) {
   if (!level.has_metal(row)) return;
-  MetalRow const& metal = level.metal_rows[row.metal];
+  MetalRow const& metal = level.metal(row);
   for (int n = 0; n < metal.solids; ++n) {
     SolidRun const run = level.solids[metal.first_solid + n];
     worker.for_each(run.count, [=](int i) { values[run.place + i] = 0; });
@@ -68,15 +68,11 @@ template <class Worker>
   });
 }
 
-/// One colour of a row relaxed. Cut cells take no part in what is done to whole vectors: as cells of one colour do not
-/// see each other, their values are found before and put in place after it. The steps of solid ones are zero.
-template <int lanes, bool isotropic, class Composed, class Worker>
-KOKKOS_INLINE_FUNCTION void relax(RowTable const& level, Row const& row, int colour, Composed const& composed,
-                                  float const* r, float* e, Worker const& worker) {
-  int const parity = (row.parity + colour) & 1;
-  CorrectionRow const at = level.correction<lanes>(row, e, composed);
-  float const *const right = r + row.place, *const step = level.step(row, parity);
-  if (level.has_metal(row)) relax_cut(level, row, parity, at, right, worker);
+/// One colour of a row relaxed, as if there were no metal.
+template <int lanes, bool isotropic, class Worker>
+KOKKOS_INLINE_FUNCTION void relax(RowTable const& level, Row const& row, int parity, CorrectionRow const& at,
+                                  float const* right, Worker const& worker) {
+  float const* const step = level.step(row, parity);
   if constexpr (Worker::has_vectors)
     relax<lanes, isotropic>(at, level.weight, right, step, level.keep, parity);
   else
@@ -84,11 +80,25 @@ KOKKOS_INLINE_FUNCTION void relax(RowTable const& level, Row const& row, int col
       int const i = 2 * half + parity;
       at.here[i] = relaxed(level.keep, at.here[i], step[i], level.sum(row, at, i), right[i]);
     });
-  if (level.has_metal(row)) place_cut(level, row, parity, at.here, worker);
+}
+
+/// One colour of a row relaxed. Beside metal cut cells take no part in what is done to whole vectors: as cells of one
+/// colour do not see each other, their values are found before and put in place after it. The steps of solid ones are
+/// zero.
+template <int lanes, bool isotropic, bool with_metal, class Composed, class Worker>
+KOKKOS_INLINE_FUNCTION void relax(RowTable const& level, Row const& row, int colour, Composed const& composed,
+                                  float const* r, float* e, Worker const& worker) {
+  int const parity = (row.parity + colour) & 1;
+  CorrectionRow const at = level.correction<lanes>(row, e, composed);
+  float const* const right = r + row.place;
+  bool const has_metal = with_metal && level.has_metal(row);
+  if (has_metal) relax_cut(level, row, parity, at, right, worker);
+  relax<lanes, isotropic>(level, row, parity, at, right, worker);
+  if (has_metal) place_cut(level, row, parity, at.here, worker);
 }
 
 /// The same from zero: the other colour becomes zero.
-template <int lanes, class Worker>
+template <int lanes, bool with_metal, class Worker>
 KOKKOS_INLINE_FUNCTION void relax_from_zero(RowTable const& level, Row const& row, int colour, float const* r, float* e,
                                             Worker const& worker) {
   int const parity = (row.parity + colour) & 1;
@@ -98,13 +108,13 @@ KOKKOS_INLINE_FUNCTION void relax_from_zero(RowTable const& level, Row const& ro
     relax_from_zero<lanes>(here, right, step, row.pitch / lanes);
   else
     worker.for_each(row.pitch, [=](int i) { here[i] = relaxed_from_zero(step[i], right[i]); });
-  if (level.has_metal(row)) relax_cut_from_zero(level, row, parity, right, here, worker);
+  if (with_metal && level.has_metal(row)) relax_cut_from_zero(level, row, parity, right, here, worker);
 }
 
 constexpr int chunk = 256;  ///< cells of a row of which a thread of the host has residuals in flight
 
 /// A row of children of which parents take residuals, or right-hand sides, cell by cell.
-template <bool of_residual>
+template <bool of_residual, bool with_metal>
 struct ChildRow {
   RowTable const& level;
   Row const& row;
@@ -121,8 +131,8 @@ struct ChildRow {
   }
 
   KOKKOS_INLINE_FUNCTION float operator()(int i) const {
-    if (level.has_metal(row)) {
-      MetalRow const& metal = level.metal_rows[row.metal];
+    if (with_metal && level.has_metal(row)) {
+      MetalRow const& metal = level.metal(row);
       for (int n = 0; n < metal.solids; ++n) {
         SolidRun const run = level.solids[metal.first_solid + n];
         if (i >= run.place && i < run.place + run.count) return 0;
@@ -141,7 +151,7 @@ struct ChildRow {
 /// Residuals of some cells of a row, set as if there were no metal: those of cut and solid cells.
 [[gnu::noinline]] inline void residuals_beside_metal(RowTable const& level, Row const& row, CorrectionRow const& at, float const* r,
                                    int first, int count, float* left) {
-  MetalRow const& metal = level.metal_rows[row.metal];
+  MetalRow const& metal = level.metal(row);
   for (int n = metal.first_cut; n < metal.first_cut + metal.cuts[0] + metal.cuts[1]; ++n) {
     CutPlace const& cut = level.cuts[n];
     if (int const i = cut.place; i >= first && i < first + count)
@@ -154,11 +164,11 @@ struct ChildRow {
 }
 
 /// Add `weight` times the sums of residuals in pairs, or of single ones, to parents, or set these, part by part.
-template <int lanes, bool isotropic>
+template <int lanes, bool isotropic, bool with_metal>
 inline void restrict_residuals(RowTable const& level, Row const& row, CorrectionRow at, float const* r,
                                Parents const& parents, float weight, bool set, float* to) {
   alignas(64) float left[chunk + 2 * widest];  // no vector straddles two cache lines
-  CorrectionRow const whole = at;
+  [[maybe_unused]] CorrectionRow const whole = at;
   float const end = at.right;
   int const last = at.last;
   for (int first = 0; first < row.cells; first += chunk) {
@@ -167,7 +177,7 @@ inline void restrict_residuals(RowTable const& level, Row const& row, Correction
     at.last = is_last ? last : lanes - 1;
     at.vectors = (is_last ? row.pitch - first : chunk) / lanes;
     residual<lanes, isotropic>(at, level.weight, r + first, level.diagonal(row) + first, left);
-    if (level.has_metal(row)) residuals_beside_metal(level, row, whole, r, first, chunk, left);
+    if (with_metal && level.has_metal(row)) residuals_beside_metal(level, row, whole, r, first, chunk, left);
     restrict_row<lanes>(left, parents.over_ratio(0, is_last ? row.cells - first : chunk), parents.ratio[0], weight, set,
                         to + parents.over_ratio(0, first));
     if (is_last) return;
@@ -179,7 +189,7 @@ inline void restrict_residuals(RowTable const& level, Row const& row, Correction
 
 /// Row (y, z) of the parents of a block: `weight` times the sums of the children's residuals, or of their right-hand
 /// sides. `rows`: of the block, ny x nz.
-template <bool of_residual, class Composed, class Worker>
+template <bool of_residual, bool with_metal, class Composed, class Worker>
 KOKKOS_INLINE_FUNCTION void restrict_to(Parents const& parents, int y, int z, RowTable const& level, Row const* rows,
                                         int ny, int nz, float weight, Composed const& composed, float const* r,
                                         float* e, float* coarse, Worker const& worker) {
@@ -192,19 +202,19 @@ KOKKOS_INLINE_FUNCTION void restrict_to(Parents const& parents, int y, int z, Ro
         f(rows[j + ny * k], weight * parents.weight_of(1, j) * parents.weight_of(2, k));
   };
   if constexpr (Worker::has_vectors)
-    if (!level.in_differences && (of_residual || !level.metal_rows) && parents.last[0] < 0 && parents.odd[0] == 0 &&
+    if (!level.in_differences && (of_residual || !with_metal) && parents.last[0] < 0 && parents.odd[0] == 0 &&
         (rows->cells & (parents.ratio[0] - 1)) == 0)
       return with_kind(rows->lanes, level.isotropic, [&](auto lanes, auto isotropic) {
         for_each_child_row([&](Row const& row, float of_row) {
           if constexpr (of_residual)
-            restrict_residuals<lanes(), isotropic()>(level, row, level.template correction<lanes()>(row, e, composed),
+            restrict_residuals<lanes(), isotropic(), with_metal>(level, row, level.template correction<lanes()>(row, e, composed),
                                                      r + row.place, parents, of_row, set, to);
           else
             restrict_row<lanes()>(r + row.place, parents.over_ratio(0, row.cells), parents.ratio[0], of_row, set, to);
         });
       });
   for_each_child_row([&](Row const& of, float of_row) {
-    ChildRow<of_residual> const row(level, of, composed, e, r);
+    ChildRow<of_residual, with_metal> const row(level, of, composed, e, r);
     worker.for_each(parents.extent[0], [&](int p) {
       float sum = 0;
       for (int i = parents.first_child(0, p); i < parents.end_of_children(0, p, of.cells); ++i)
@@ -217,9 +227,8 @@ KOKKOS_INLINE_FUNCTION void restrict_to(Parents const& parents, int y, int z, Ro
 /// Row (j, k) of a block set to the coarse correction, interpolated trilinearly along the axes of ratio 2, or this
 /// added; ghost cells of the block's parents are filled. Sweeps that follow read r.
 template <int lanes, class Worker>
-KOKKOS_INLINE_FUNCTION void prolong_everywhere(Parents const& parents, int j, int k, Row const& row,
-                                               float const* coarse, bool set, float const* r, float* e,
-                                               Worker const& worker) {
+KOKKOS_INLINE_FUNCTION void prolong(Parents const& parents, int j, int k, Row const& row, float const* coarse, bool set,
+                                    float const* r, float* e, Worker const& worker) {
   CoarseRows const from = parents.rows_of(j, k, coarse);
   float* const to = e + row.place;
   int const ratio = parents.ratio[0];
@@ -232,16 +241,6 @@ KOKKOS_INLINE_FUNCTION void prolong_everywhere(Parents const& parents, int j, in
     to[i] = (set ? 0 : to[i]) +
             (ratio == 1 ? here : prolonged(parents.far(0, i), here, mean(from, p + parents.toward(0, i))));
   });
-}
-
-/// The same, zero in metal.
-template <int lanes, class Worker>
-KOKKOS_INLINE_FUNCTION void prolong(Parents const& parents, int j, int k, RowTable const& level, Row const& row,
-                                    float const* coarse, bool set, float const* r, float* e, Worker const& worker) {
-  prolong_everywhere<lanes>(parents, j, k, row, coarse, set, r, e, worker);
-  if (!level.has_metal(row)) return;
-  worker.barrier();
-  clear_solid(level, row, e + row.place, worker);
 }
 
 }  // namespace amrpic::matrixfree

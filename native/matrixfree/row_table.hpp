@@ -14,7 +14,6 @@ struct Row {
   std::array<std::int32_t, 2> end;     ///< places of the values before the first and after the last cell
   std::array<float, 2> factor;         ///< of these
   std::int32_t coefficients;           ///< where the row's coefficients start
-  std::int32_t metal = -1;             ///< number among rows with metal, or -1
   std::int32_t pitch;                  ///< between these; whole vectors
   std::int32_t cells;
   std::int8_t lanes;   ///< cells in a vector of the host
@@ -67,6 +66,7 @@ struct RowTable {
   ScaledRun const* runs;          ///< of composed rows
   std::int32_t const* first_run;  ///< composed row c: [first_run[c], first_run[c + 1])
   float const* coefficients;      ///< of a row: the diagonal d; relaxation / d of even places, and of odd ones; `held`
+  std::int32_t const* metal_of;   ///< of each row: the number among `metal_rows`, or -1; null where no row has any
   MetalRow const* metal_rows;
   CutPlace const* cuts;
   SolidRun const* solids;
@@ -113,7 +113,8 @@ struct RowTable {
     return out;
   }
   /// Whether metal is in a row, or beside its cells.
-  KOKKOS_INLINE_FUNCTION bool has_metal(Row const& row) const { return row.metal >= 0; }
+  KOKKOS_INLINE_FUNCTION bool has_metal(Row const& row) const { return metal_of && metal_of[&row - rows] >= 0; }
+  KOKKOS_INLINE_FUNCTION MetalRow const& metal(Row const& row) const { return metal_rows[metal_of[&row - rows]]; }
   KOKKOS_INLINE_FUNCTION static float before(Row const&, CorrectionRow const& at, int i) {
     return i > 0 ? at.here[i - 1] : at.left;
   }

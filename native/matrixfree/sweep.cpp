@@ -39,13 +39,17 @@ void Sweep::relax(std::size_t block, int k, int colour, bool from_zero, RowChoic
                   Vector& e) const {
   auto const composed = composer(e.data(), false);
   with_kind(layout_.blocks()[block].lanes, table_.isotropic, [&](auto lanes, auto isotropic) {
-    if (from_zero)
-      return for_each_row(block, k, rows, [&](Row const& row, int) {
-        matrixfree::relax_from_zero<lanes()>(table_, row, colour, r.data(), e.data(), Thread{});
+    auto const act = [&](auto with_metal) {
+      if (from_zero)
+        return for_each_row(block, k, rows, [&](Row const& row, int) {
+          matrixfree::relax_from_zero<lanes(), with_metal()>(table_, row, colour, r.data(), e.data(), Thread{});
+        });
+      for_each_row(block, k, rows, [&](Row const& row, int) {
+        matrixfree::relax<lanes(), isotropic(), with_metal()>(table_, row, colour, composed, r.data(), e.data(),
+                                                              Thread{});
       });
-    for_each_row(block, k, rows, [&](Row const& row, int) {
-      matrixfree::relax<lanes(), isotropic()>(table_, row, colour, composed, r.data(), e.data(), Thread{});
-    });
+    };
+    table_.metal_of ? act(std::true_type()) : act(std::false_type());
   });
 }
 
@@ -56,9 +60,13 @@ void Sweep::restrict_to(std::size_t block, int k, Vector const& r, Vector& e, Pa
   int const plane = k - box.lower[2], z = parents.parent(2, plane);
   if (z >= parents.extent[2] || plane + 1 < parents.end_of_children(2, z, box.extent(2))) return;
   auto const composed = composer(e.data(), table_.in_differences);
-  for (int y = 0; y < parents.extent[1]; ++y)
-    matrixfree::restrict_to<of_residual>(parents, y, z, table_, stencil_.rows(block), box.extent(1), box.extent(2),
-                                         weight, composed, r.data(), e.data(), coarse.data(), Thread{});
+  auto const act = [&](auto with_metal) {
+    for (int y = 0; y < parents.extent[1]; ++y)
+      matrixfree::restrict_to<of_residual, with_metal()>(parents, y, z, table_, stencil_.rows(block), box.extent(1),
+                                                         box.extent(2), weight, composed, r.data(), e.data(),
+                                                         coarse.data(), Thread{});
+  };
+  table_.metal_of ? act(std::true_type()) : act(std::false_type());
 }
 template void Sweep::restrict_to<true>(std::size_t, int, Vector const&, Vector&, Parents const&, float, Vector&) const;
 template void Sweep::restrict_to<false>(std::size_t, int, Vector const&, Vector&, Parents const&, float, Vector&) const;
@@ -68,9 +76,12 @@ void Sweep::prolong(std::size_t block, int k, RowChoice const& rows, Parents con
   CellBlock const& b = layout_.blocks()[block];
   with_kind(b.lanes, true, [&](auto lanes, auto) {
     for_each_row(block, k, rows, [&](Row const& row, int j) {
-      matrixfree::prolong<lanes()>(parents, j, k - b.box.lower[2], table_, row, coarse.data(), set, r.data(), e.data(),
+      matrixfree::prolong<lanes()>(parents, j, k - b.box.lower[2], row, coarse.data(), set, r.data(), e.data(),
                                    Thread{});
     });
+    if (table_.metal_of)
+      for_each_row(block, k, rows,
+                   [&](Row const& row, int) { clear_solid(table_, row, e.data() + row.place, Thread{}); });
   });
 }
 

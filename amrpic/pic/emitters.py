@@ -26,7 +26,7 @@ from ..particles.species import SpeciesTable
 from ..scene.scene import Scene
 from ..scene.sources import IDS, AnySource, FileSource, GivenSource, Source, WallSource, first_ids
 from ..stages.wall_layer import Columns, WallLayer
-from ..units import VACUUM_PERMITTIVITY
+from ..units import SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
 
 BIRTH = 4  # stream of the counter-based generator
 Kind = TypeVar("Kind", bound=Source | FileSource)
@@ -62,6 +62,10 @@ class Emitter(ABC, Generic[Kind]):
     def newborn(self, comm: MPI.Comm, span: Span, species: SpeciesTable) -> Particles:
         """Return this rank's share of what is born in a step, in the laboratory and at the places of birth. Collective."""
 
+    @abstractmethod
+    def largest_energy(self) -> float:
+        """Return a kinetic energy in J that particles are born with, about the largest."""
+
     def own(self, ids: np.ndarray) -> np.ndarray:
         """Return which ids are those of this source."""
         return ids // IDS == self.first // IDS
@@ -74,6 +78,9 @@ class OfSurface(Emitter[SurfaceKind]):
         super().__init__(source, first)
         self._seed, self._domain = scene.seed, scene.domain.value
         self._origin, self._axes = source.frame(self._domain.lower, self._domain.upper)
+
+    def largest_energy(self) -> float:
+        return self.source.emitted.largest_energy()
 
     def draws(self, first: int, last: int) -> np.ndarray:
         """Return numbers in (0, 1) for places and momenta of particles, (7, n)."""
@@ -268,6 +275,10 @@ class OfFile(Emitter[FileSource]):
 
     def times(self, number: np.ndarray, span: Span) -> np.ndarray:
         return self._time[number]
+
+    def largest_energy(self) -> float:
+        most, mass = np.linalg.norm(self._births.momentum, axis=1).max(initial=0.0), self.source.species.mass
+        return float(np.hypot(mass * SPEED_OF_LIGHT, most) - mass * SPEED_OF_LIGHT) * SPEED_OF_LIGHT
 
     def newborn(self, comm: MPI.Comm, span: Span, species: SpeciesTable) -> Particles:
         born = self.numbers(span)

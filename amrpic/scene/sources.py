@@ -16,7 +16,7 @@ from ..particles.sampling import Sampling
 from ..particles.species import SPECIES
 from ..units import BOLTZMANN, SPEED_OF_LIGHT
 from .complaints import complaint
-from .emitted_momenta import MOST_OF_REST, AnyMomenta, ColdMomenta, ThermalMomenta
+from .emitted_momenta import MOST_OF_REST, AnyMomenta, BeamMomenta, ColdMomenta, ThermalMomenta
 from .obstacles import Obstacle
 from .pulses import AnyPulse, SteadyPulse
 from .section import Section
@@ -73,7 +73,7 @@ class Source(Obstacle):
         if self.species.charge == 0:
             raise complaint("has no charge, by which sources count", "take a charged one", path="species", found="")
         most = self.emitted.largest_energy() / (self.species.mass * SPEED_OF_LIGHT**2)
-        if most > MOST_OF_REST:
+        if most > MOST_OF_REST and not isinstance(self.emitted, BeamMomenta):
             raise complaint(
                 f"has an energy of {most:.2g} m c², where its formulas are not relativistic",
                 'use kind = "beam", or correct the unit',

@@ -176,6 +176,17 @@ def test_schottky_lowers_the_work_function():
     assert np.exp(np.log(charges[0]) - slope * 1e3) == pytest.approx(1.273e6, rel=2e-3)
 
 
+def test_the_time_step_knows_what_is_not_born_yet():
+    """From the passage of a cell at the speed that the voltage between outermost cells gives, and from a short pulse."""
+    width, speed = GAP / 16, math.sqrt(2 * ELEMENTARY_CHARGE / ELECTRON_MASS * 100.0)
+    auto = {"kind": "leapfrog", "dt": "auto", "frame": "lab"}
+    run = Simulation(MPI.COMM_SELF, diode(100.0, 16, limited(100.0), 1.0, motion=auto))
+    assert run._setup.dt == pytest.approx(width / speed / 1.5 / math.sqrt(15 / 16), rel=1e-3)
+    pulse = {"shape": "flat", "length": "100 ps"}
+    short = {"process": "given", "charge": -1e-15, "particles": 100, "pulse": pulse}
+    assert Simulation(MPI.COMM_SELF, diode(100.0, 16, short, 1.0, motion=auto))._setup.dt == pytest.approx(2e-12)
+
+
 def test_only_what_the_field_pulls_is_emitted():
     scene = diode(100.0, 8, {**limited(100.0), "face": "z_upper"}, 1.0)
     run = Simulation(MPI.COMM_SELF, scene)

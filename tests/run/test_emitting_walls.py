@@ -280,3 +280,21 @@ def test_bad_walls_are_refused_in_one_sentence(source, words):
 def test_walls_emit_in_second_order_alone():
     with pytest.raises(SceneError, match=r"solver\.order"):
         diode(100.0, 8, limited(100.0), 1.0, solver={"order": 4})
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("part", "exact"), [(0.25, 3.1091), (0.5, 1.7434)])
+def test_a_short_pulse_has_the_limit_of_the_sheet_model(part, exact):
+    """A uniform pulse of a part of the time of flight, of which the field at the cathode falls to zero at its end."""
+    cells, fields, currents = 32, [], exact * np.array([0.93, 0.99])
+    speed = math.sqrt(2 * ELEMENTARY_CHARGE / ELECTRON_MASS * 100.0)
+    steps = int(part * 3 * cells * 1.5)
+    for multiple in currents:
+        amount = -multiple * child(100.0) * (4 * GAP / cells) ** 2
+        source = {"process": "given", "current": amount, "per_step": 64, "momenta": {"kind": "cold"}}
+        motion = {"kind": "leapfrog", "dt": part * 3 * GAP / speed / steps, "frame": "lab"}
+        run = Simulation(MPI.COMM_SELF, diode(100.0, cells, source, 1.0, motion=motion))
+        run.advance(steps)
+        fields.append(run.state.solution.layers[4].at_wall.mean())
+    slope = (fields[1] - fields[0]) / (currents[1] - currents[0])
+    assert currents[1] - fields[1] / slope == pytest.approx(exact, rel=0.01)

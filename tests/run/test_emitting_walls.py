@@ -298,3 +298,40 @@ def test_a_short_pulse_has_the_limit_of_the_sheet_model(part, exact):
         fields.append(run.state.solution.layers[4].at_wall.mean())
     slope = (fields[1] - fields[0]) / (currents[1] - currents[0])
     assert currents[1] - fields[1] / slope == pytest.approx(exact, rel=0.01)
+
+
+@pytest.mark.long
+def test_fast_charge_in_bins_of_its_own_leaves_the_field_at_the_wall_zero(tmp_path):
+    """A gun of 50 kV with open sides: slow charge rests in the laboratory, fast charge has images that move against it."""
+    scene = Scene.from_dict(
+        {
+            "domain": {
+                "lower": [-8e-3, -8e-3, 0],
+                "upper": [8e-3, 8e-3, GAP],
+                "cells": [16, 16, 32],
+                "boundary": {"x": "open", "y": "open", "z": "dirichlet"},
+                "potential": {"z": [0, 5e4]},
+            },
+            "sources": [
+                {
+                    "face": "z_lower",
+                    **limited(5e4, 10.0),
+                    "spot": {"shape": "disc", "radius": "3 mm"},
+                    "momenta": warm(COLD, 5e4),
+                }
+            ],
+            "motion": {"kind": "leapfrog", "dt": "2 ps"},
+            "schedule": {"steps": 160},
+            "output": {"write": []},
+        }
+    )
+    whole = Simulation(MPI.COMM_SELF, scene)
+    whole.advance(140)
+    assert len(whole.state.solution.frames.members) > 1 and whole.state.solution.images is not None
+    layer = whole.state.solution.layers[4]
+    inside = np.hypot(*layer.columns.centre[:, :2].T) < 2e-3
+    assert np.abs(layer.at_wall[inside]).mean() < 0.03 * 5e4 / GAP
+    whole.checkpoint(tmp_path / "late")
+    rest = Simulation.restart(MPI.COMM_SELF, tmp_path / "late")
+    whole.advance(5), rest.advance(5)
+    np.testing.assert_array_equal(rest.particles.position, whole.particles.position)

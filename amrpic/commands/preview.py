@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -43,6 +43,7 @@ from ..scene.refinement_rules import (
     RuleKind,
 )
 from ..scene.scene import Scene
+from ..scene.sources import GivenSource
 from ..stages.diagnostics import moments
 from ..stages.migrate import migrate
 from ..stages.push import random_walk
@@ -83,7 +84,12 @@ def preview(comm: MPI.Comm, scene: Scene, ranks: int, seconds: float = 0.0) -> s
     count = beam.particles.global_count(comm) + lost
     if lost:
         notes.append(f"{lost} of {count} particles lie outside the domain and would be lost")
-    with_time_step(setup, beam, None, course)
+    born = sum(numbers := list(_births(scene, start)))
+    notes += [f"sources give {born} particles of given charge until the last step"] if numbers else []
+    if scene.motion.dt == "auto" and scene.sources:
+        notes.append("motion.dt is chosen once the first field is known, which decides on particles of sources")
+    else:
+        with_time_step(setup, beam, None, course)
     if scene.motion.dt == "auto":
         notes.append("the particles' own field, which a preview does not solve for, may ask for a shorter motion.dt")
     particles_per_cell = number_per_cell(beam.particles, beam.hierarchy)
@@ -92,7 +98,7 @@ def preview(comm: MPI.Comm, scene: Scene, ranks: int, seconds: float = 0.0) -> s
         [scene.summary()],
         _levels(particles_per_cell),
         _bunches(comm, scene, bunches[1:], beam.hierarchy),
-        _memory(beam, count, ranks, setup),
+        _memory(beam, count + born, ranks, setup),
         _time(comm, scene, beam.hierarchy, ranks, made_in, seconds) if seconds > 0 else [],
         [f"note: {note}" for note in [*scene.remarks(), *setup.remarks.warnings, *setup.remarks.notes, *notes]],
         list(map(str, _pictures(scene, deposit(beam, setup), start, course.window))),
@@ -217,6 +223,14 @@ def _bunches(comm: MPI.Comm, scene: Scene, particles: Sequence[Particles], hiera
             ]
         )
     return columns(rows) if scene.bunches else []
+
+
+def _births(scene: Scene, start: float) -> Iterator[int]:
+    """Yield how many macroparticles each source of given charge gives in a run whose time step is known."""
+    dt = scene.motion.dt
+    for source in scene.sources:
+        if isinstance(source, GivenSource) and isinstance(dt, float):
+            yield source.expected(start, start + scene.schedule.last_step * dt, dt)
 
 
 def _memory(beam: MeshedParticles, particles: int, ranks: int, setup: Setup) -> list[str]:

@@ -18,7 +18,7 @@ from ..mesh.domain import AXES, Domain
 from ..particles.particles import Particles
 from ..particles.species import SPECIES, Species, SpeciesTable
 from .openpmd_files import base, chosen, dimension_text, opened, text
-from .openpmd_writer import ALIVE, CHARGE, DEAD, LENGTH, MASS, MOMENTUM, NONE, TIME
+from .openpmd_writer import ALIVE, CATHODE, CHARGE, DEAD, LENGTH, MASS, MOMENTUM, NONE, TIME
 
 Array = NDArray[Any]
 DIMENSIONS = {  # of the records that are read, and their unit
@@ -60,6 +60,13 @@ def groups(file: str | Path) -> list[str]:
     with _opened(Path(file)) as h5:
         particles = _particles(Path(file), h5, None)
         return [""] if "position" in particles else [name for name, member in particles.items() if "position" in member]
+
+
+def births(file: str | Path, iteration: int | None, group: str | None, species: Species) -> tuple[Particles, Array]:
+    """Return the particles in a file, each at its own time, and these times in s. Raises InputError."""
+    path = Path(file)
+    with _opened(path) as h5:
+        return _Source(path, _find(path, h5, iteration, group)).births(species)
 
 
 @dataclass(frozen=True)
@@ -172,8 +179,22 @@ class _Source:
     def particles(self, share: Callable[[int], tuple[int, int]], species: Species | None, first_id: int) -> Particles:
         start, stop = share(self.count)
         self.rows = slice(start, stop)
-        self._require_dimensions()
         self._require_alive_at_one_time()
+        return self._whole(species, first_id)
+
+    def births(self, species: Species) -> tuple[Particles, Array]:
+        """Return all particles, and their times of birth in s."""
+        if "particleStatus" in self.group:
+            born = np.isin(self._values("particleStatus"), (CATHODE, ALIVE))
+            self._require("the status of a lost particle", born, "write the file with those alone that are alive")
+        time = self._with_offset("time") if "time" in self.group else np.zeros(self.count)
+        self._require("a time that is not finite", np.isfinite(time), "remove or correct it")
+        return self._whole(species, 0), time
+
+    def _whole(self, species: Species | None, first_id: int) -> Particles:
+        """Return this share of the particles."""
+        start, stop = self.rows.start, self.rows.stop
+        self._require_dimensions()
         species = species or self._species()
         weight = self._weight(species)
         position, momentum = (self._vector(name) for name in ("position", "momentum"))

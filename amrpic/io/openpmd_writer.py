@@ -27,7 +27,7 @@ from .provenance import Provenance
 from .shared_file import RowTable
 from .writer_ranks import BY_SIZE, Attempts, Writers
 
-ALIVE = 1  # of BeamPhysics's particleStatus
+CATHODE, ALIVE = 0, 1  # of BeamPhysics's particleStatus
 DEAD = 2  # the first of those that say how a particle ended
 
 # Powers of length, mass, time, current, temperature, amount, luminous intensity.

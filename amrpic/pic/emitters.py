@@ -10,23 +10,27 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Generic, TypeVar
 
 import numpy as np
 from mpi4py import MPI
 
 from .. import _native
-from ..parallel import share
+from ..errors import InputError
+from ..io.birth_files import Births, read
+from ..parallel import from_rank_0, share
 from ..particles.particles import Particles
 from ..particles.sampling import draw
 from ..particles.species import SpeciesTable
 from ..scene.scene import Scene
-from ..scene.sources import IDS, GivenSource, Source, WallSource, first_ids
+from ..scene.sources import IDS, AnySource, FileSource, GivenSource, Source, WallSource, first_ids
 from ..stages.wall_layer import Columns, WallLayer
-from ..units import VACUUM_PERMITTIVITY
+from ..units import SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
 
 BIRTH = 4  # stream of the counter-based generator
-Kind = TypeVar("Kind", bound=Source)
+Kind = TypeVar("Kind", bound=Source | FileSource)
+SurfaceKind = TypeVar("SurfaceKind", bound=Source)
 
 
 @dataclass(frozen=True)
@@ -43,14 +47,8 @@ class Span:
 class Emitter(ABC, Generic[Kind]):
     """One source of a scene."""
 
-    def __init__(self, source: Kind, first: int, scene: Scene) -> None:
+    def __init__(self, source: Kind, first: int) -> None:
         self.source, self.first = source, first
-        self._seed, self._domain = scene.seed, scene.domain.value
-        self._origin, self._axes = source.frame(self._domain.lower, self._domain.upper)
-
-    def draws(self, first: int, last: int) -> np.ndarray:
-        """Return numbers in (0, 1) for places and momenta of particles, (7, n)."""
-        return draw("random", self._seed, self.first, first, last)
 
     @abstractmethod
     def numbers(self, span: Span) -> range:
@@ -61,11 +59,38 @@ class Emitter(ABC, Generic[Kind]):
         """Return when particles are born, s."""
 
     @abstractmethod
+    def newborn(self, comm: MPI.Comm, span: Span, species: SpeciesTable) -> Particles:
+        """Return this rank's share of what is born in a step, in the laboratory and at the places of birth. Collective."""
+
+    @abstractmethod
+    def largest_energy(self) -> float:
+        """Return a kinetic energy in J that particles are born with, about the largest."""
+
+    def own(self, ids: np.ndarray) -> np.ndarray:
+        """Return which ids are those of this source."""
+        return ids // IDS == self.first // IDS
+
+
+class OfSurface(Emitter[SurfaceKind]):
+    """A source on a surface, whose particles are drawn."""
+
+    def __init__(self, source: SurfaceKind, first: int, scene: Scene) -> None:
+        super().__init__(source, first)
+        self._seed, self._domain = scene.seed, scene.domain.value
+        self._origin, self._axes = source.frame(self._domain.lower, self._domain.upper)
+
+    def largest_energy(self) -> float:
+        return self.source.emitted.largest_energy()
+
+    def draws(self, first: int, last: int) -> np.ndarray:
+        """Return numbers in (0, 1) for places and momenta of particles, (7, n)."""
+        return draw("random", self._seed, self.first, first, last)
+
+    @abstractmethod
     def weights(self, number: np.ndarray, span: Span) -> np.ndarray:
         """Return the weights of particles."""
 
     def newborn(self, comm: MPI.Comm, span: Span, species: SpeciesTable) -> Particles:
-        """Return this rank's share of what is born in a step, in the laboratory and at the places of birth."""
         all_ = self.numbers(span)
         first, last = (all_.start + n for n in share(comm, len(all_)))
         number, u = np.arange(first, last), self.draws(first, last)
@@ -94,10 +119,6 @@ class Emitter(ABC, Generic[Kind]):
         """Return whether the surface emits at places (2, n)."""
         return np.ones(places.shape[1], dtype=bool)
 
-    def own(self, ids: np.ndarray) -> np.ndarray:
-        """Return which ids are those of this source."""
-        return ids // IDS == self.first // IDS
-
     def pull(self, column: np.ndarray, span: Span) -> np.ndarray:
         """Return how the field at the wall pulls particles off the faces of some columns, V/m; negative where it pushes."""
         assert span.layer is not None
@@ -119,7 +140,7 @@ class Emitter(ABC, Generic[Kind]):
         return out[0]
 
 
-class OfGivenCharge(Emitter[GivenSource]):
+class OfGivenCharge(OfSurface[GivenSource]):
     """Charge that is given in time."""
 
     def draws(self, first: int, last: int) -> np.ndarray:
@@ -185,7 +206,7 @@ class PerStep(OfGivenCharge):
         return max(span.start, pulse.start), min(span.stop, pulse.start + pulse.duration)
 
 
-class OfWall(Emitter[WallSource]):
+class OfWall(OfSurface[WallSource]):
     """A wall whose field decides what it gives: so many macroparticles in each step from each face of a cell, even in both."""
 
     def numbers(self, span: Span) -> range:
@@ -241,14 +262,43 @@ class OfWall(Emitter[WallSource]):
         return max(span.start, self.source.start), min(span.stop, stop)
 
 
-def emitters_of(scene: Scene) -> tuple[Emitter, ...]:
-    """Return the sources of a scene as steps use them."""
+class OfFile(Emitter[FileSource]):
+    """Particles that are born as a file says, in the order of their births."""
+
+    def __init__(self, source: FileSource, first: int, births: Births) -> None:
+        super().__init__(source, first)
+        self._births = births
+        self._time = births.time + source.delay
+
+    def numbers(self, span: Span) -> range:
+        return range(*np.searchsorted(self._time, (span.start, span.stop)).tolist())
+
+    def times(self, number: np.ndarray, span: Span) -> np.ndarray:
+        return self._time[number]
+
+    def largest_energy(self) -> float:
+        most, mass = np.linalg.norm(self._births.momentum, axis=1).max(initial=0.0), self.source.species.mass
+        return float(np.hypot(mass * SPEED_OF_LIGHT, most) - mass * SPEED_OF_LIGHT) * SPEED_OF_LIGHT
+
+    def newborn(self, comm: MPI.Comm, span: Span, species: SpeciesTable) -> Particles:
+        born = self.numbers(span)
+        rows = slice(*(born.start + n for n in share(comm, len(born))))
+        ids = self.first + np.arange(rows.start, rows.stop, dtype=np.int64)
+        position = self._births.position[rows] + self.source.shift
+        return Particles(position, self._births.momentum[rows], self._births.weight[rows], ids, species)
+
+
+def emitters_of(comm: MPI.Comm, scene: Scene) -> tuple[Emitter, ...]:
+    """Return the sources of a scene as steps use them. Collective; InputError on all ranks for a file that cannot be used."""
     firsts = first_ids(scene.sources)
-    return tuple(_emitter(source, first, scene) for source, first in zip(scene.sources, firsts, strict=True))
+    return tuple(_emitter(comm, source, first, scene) for source, first in zip(scene.sources, firsts, strict=True))
 
 
-def _emitter(source: Source, first: int, scene: Scene) -> Emitter:
+def _emitter(comm: MPI.Comm, source: AnySource, first: int, scene: Scene) -> Emitter:
     match source:
+        case FileSource():
+            from_file = partial(read, source.file, source.species, source.iteration, source.group)
+            return OfFile(source, first, from_rank_0(comm, from_file, InputError))
         case WallSource():
             return OfWall(source, first, scene)
         case GivenSource(unit_charge=None):

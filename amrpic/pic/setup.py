@@ -82,7 +82,7 @@ def set_up(comm: MPI.Comm, scene: Scene, fields: Sequence[FieldFunction] = ()) -
             scene.domain.wall_functions(),
             remarks.remark,
         ),
-        emitters_of(scene),
+        emitters_of(comm, scene),
         EmittingWalls(scene),
         remarks,
     )

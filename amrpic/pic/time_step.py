@@ -18,6 +18,7 @@ from ..particles.clouds import Clouds
 from ..particles.energy_bins import Frames
 from ..particles.frame import Frame
 from ..particles.particles import Particles
+from ..scene.sources import GivenSource
 from ..stages.deposit import deposit
 from ..stages.push import IN_CACHE
 from ..units import SPEED_OF_LIGHT, VACUUM_PERMITTIVITY, falls_short
@@ -38,6 +39,9 @@ PER_PERIOD, LEAST_PER_PERIOD = 1000.0, 20.0
 PER_RF_PERIOD = 640.0
 PER_LENGTH, LEAST_PER_LENGTH = 80.0, 4.0  # four places sum up the profile of a gap, a fringe or a coil to 0.5 %
 PER_NODE, LEAST_PER_NODE = 1.0, 0.25
+# One step per cell at the anode is enough for the current of a diode: docs/emission.md.
+PER_PASSAGE, LEAST_PER_PASSAGE = 1.5, 0.9
+PER_PULSE, LEAST_PER_PULSE = 50.0, 5.0
 
 
 EVERY = 100  # steps from one look at whether the step has become long to the next
@@ -129,6 +133,7 @@ def processes(
         _of_motion(setup, fast) if fast else (),
         _of_charge(beam, solution, setup),
         _of_elements(setup, fast) if fast else (),
+        _of_sources(solution, setup) if fast and solution and setup.emitters else (),
     )
     return [process for process in all_ if process.time < math.inf]
 
@@ -159,6 +164,36 @@ def _of_elements(setup: Setup, fast: Fastest) -> Iterator[Process]:
     strengths = from_rank_0(setup.comm, lambda: [strength(element) for element in elements], InputError)  # reads maps
     for number, (element, of) in enumerate(zip(elements, strengths, strict=True)):
         yield from _processes_in(of, element.name or f"elements.{number}", fast)
+
+
+def _of_sources(solution: Solution, setup: Setup) -> Iterator[Process]:
+    """Yield what particles do that are not born yet: pass a cell after a fall through all of the potential, and fly from rest
+    through the first cell; and the pulse that they come in. Collective."""
+    drop = solution.potential.max() - solution.potential.min()
+    elements = from_rank_0(setup.comm, lambda: [strength(element) for element in setup.external.elements], InputError)
+    drop += sum(of.electric * of.length for of in elements if math.isfinite(of.length))
+    spacing, levels = setup.scene.domain.value.spacing, setup.scene.refinement.levels
+    for emitter, name in zip(setup.emitters, setup.scene.source_names, strict=True):
+        source, face = emitter.source, emitter.source.face_number
+        energy, mass = abs(source.species.charge) * drop + emitter.largest_energy(), source.species.mass
+        gamma = 1 + energy / (mass * SPEED_OF_LIGHT**2)
+        width = float(spacing.min() if face is None else spacing[face // 2])
+        passage = _time(width, SPEED_OF_LIGHT * math.sqrt(1 - 1 / gamma**2))
+        yield Process(
+            "source",
+            f"passage of the fastest particle of {name} through a base cell",
+            passage,
+            PER_PASSAGE,
+            LEAST_PER_PASSAGE,
+        )
+        if layer := solution.layers.get(-1 if face is None else face):
+            pull = abs(source.species.charge) / mass * np.abs(layer.at_wall).max(initial=0.0)
+            first = math.sqrt(_time(2 * width / 2**levels, pull))
+            yield Process(
+                "source", f"flight from {name} through the first cell of the finest level", first, PER_PASSAGE
+            )
+        if isinstance(source, GivenSource):
+            yield Process("pulse", f"pulse of {name}", source.pulse.duration, PER_PULSE, LEAST_PER_PULSE)
 
 
 def _processes_in(of: Strength, name: str, fast: Fastest) -> Iterator[Process]:

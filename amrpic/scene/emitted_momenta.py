@@ -26,7 +26,7 @@ class Emitted(Section):
         raise NotImplementedError
 
     def largest_energy(self) -> float:
-        """Return the largest energy, J, that is taken to be small against m c²."""
+        """Return a kinetic energy that particles have, about the largest, J."""
         return 0.0
 
 
@@ -111,6 +111,9 @@ class BeamMomenta(Emitted):
         default=(0.0, 0.0, 0.0),
         description="Standard deviation of the momentum along the normal and the two axes across, kg m/s.",
     )
+
+    def largest_energy(self) -> float:
+        return self.energy
 
     def momenta(self, u: np.ndarray, mass: float) -> np.ndarray:
         over_mc2 = self.energy / (mass * SPEED_OF_LIGHT**2)

@@ -29,7 +29,7 @@ class Scene(SceneParts):
 
     @staticmethod
     def _anchor_files(data: Mapping[str, Any], folder: Path) -> None:
-        for key in ("bunches", "elements"):
+        for key in ("bunches", "sources", "elements"):
             members = data.get(key)
             for member in members if isinstance(members, list) else []:
                 if isinstance(member, dict) and isinstance(member.get("file"), str):

@@ -16,7 +16,7 @@ from ..particles.sampling import Sampling
 from ..particles.species import SPECIES
 from ..units import BOLTZMANN, SPEED_OF_LIGHT
 from .complaints import complaint
-from .emitted_momenta import MOST_OF_REST, AnyMomenta, ColdMomenta, ThermalMomenta
+from .emitted_momenta import MOST_OF_REST, AnyMomenta, BeamMomenta, ColdMomenta, ThermalMomenta
 from .obstacles import Obstacle
 from .pulses import AnyPulse, SteadyPulse
 from .section import Section
@@ -73,7 +73,7 @@ class Source(Obstacle):
         if self.species.charge == 0:
             raise complaint("has no charge, by which sources count", "take a charged one", path="species", found="")
         most = self.emitted.largest_energy() / (self.species.mass * SPEED_OF_LIGHT**2)
-        if most > MOST_OF_REST:
+        if most > MOST_OF_REST and not isinstance(self.emitted, BeamMomenta):
             raise complaint(
                 f"has an energy of {most:.2g} m c², where its formulas are not relativistic",
                 'use kind = "beam", or correct the unit',
@@ -336,13 +336,49 @@ class FieldSource(SuppliedSource):
         return fowler_nordheim(self.work_function, self.enhancement * pull)
 
 
-def first_ids(sources: Sequence[Source]) -> list[int]:
+def first_ids(sources: Sequence[Obstacle]) -> list[int]:
     """Return the first id of each source: behind those of all bunches, and so far apart that none comes to the next."""
     return [(number + 1) * IDS for number in range(len(sources))]
 
 
+class FileSource(Obstacle):
+    """Particles in a file that are born at times and places of their own.
+
+    An openPMD file (HDF5) with particles of status 0, as beamphysics and distgen write those at a cathode, or of status 1 with
+    times of their own; or a text of ten columns, as ASTRA writes it, of which those of status -1 and 5 are taken.
+    """
+
+    process: Literal["file"] = "file"
+    name: str = Field(default="", description="A name of your own, kept in the outputs; source_0, … if not given.")
+    species: Species = Field(
+        default=SPECIES["electron"], description="A name, or charge (C) and mass (kg) of one real particle."
+    )
+    file: str = Field(description="The file; a relative path starts at the scene file.")
+    iteration: int | None = Field(
+        default=None, ge=0, description="Which iteration of the file; needed if it holds several."
+    )
+    group: str | None = Field(
+        default=None, description="Name of the group of particles in the file; needed if it holds several."
+    )
+    shift: Length3 = Field(default=(0.0, 0.0, 0.0), description="By how much places are moved, m.")
+    delay: Time = Field(default=0.0, description="By how much births are later, s.")
+    face: Literal[FACES] | None = Field(  # type: ignore[valid-type]
+        default=None, description="Face of the domain that particles leave, if they leave one."
+    )
+
+    @property
+    def face_number(self) -> int | None:
+        """Index of the face in `FACES`."""
+        return None if self.face is None else FACES.index(self.face)
+
+    @property
+    def is_limited(self) -> bool:
+        """Whether space charge bounds what is born."""
+        return False
+
+
 IDS = 2**48  # of a source
 AnySource = Annotated[
-    GivenSource | PhotoSource | SpaceChargeLimitedSource | ThermionicSource | FieldSource,
+    GivenSource | PhotoSource | FileSource | SpaceChargeLimitedSource | ThermionicSource | FieldSource,
     Field(discriminator="process"),
 ]

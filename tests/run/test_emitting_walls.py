@@ -176,6 +176,17 @@ def test_schottky_lowers_the_work_function():
     assert np.exp(np.log(charges[0]) - slope * 1e3) == pytest.approx(1.273e6, rel=2e-3)
 
 
+def test_the_time_step_knows_what_is_not_born_yet():
+    """From the passage of a cell at the speed that the voltage between outermost cells gives, and from a short pulse."""
+    width, speed = GAP / 16, math.sqrt(2 * ELEMENTARY_CHARGE / ELECTRON_MASS * 100.0)
+    auto = {"kind": "leapfrog", "dt": "auto", "frame": "lab"}
+    run = Simulation(MPI.COMM_SELF, diode(100.0, 16, limited(100.0), 1.0, motion=auto))
+    assert run._setup.dt == pytest.approx(width / speed / 1.5 / math.sqrt(15 / 16), rel=1e-3)
+    pulse = {"shape": "flat", "length": "100 ps"}
+    short = {"process": "given", "charge": -1e-15, "particles": 100, "pulse": pulse}
+    assert Simulation(MPI.COMM_SELF, diode(100.0, 16, short, 1.0, motion=auto))._setup.dt == pytest.approx(2e-12)
+
+
 def test_only_what_the_field_pulls_is_emitted():
     scene = diode(100.0, 8, {**limited(100.0), "face": "z_upper"}, 1.0)
     run = Simulation(MPI.COMM_SELF, scene)
@@ -269,3 +280,58 @@ def test_bad_walls_are_refused_in_one_sentence(source, words):
 def test_walls_emit_in_second_order_alone():
     with pytest.raises(SceneError, match=r"solver\.order"):
         diode(100.0, 8, limited(100.0), 1.0, solver={"order": 4})
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("part", "exact"), [(0.25, 3.1091), (0.5, 1.7434)])
+def test_a_short_pulse_has_the_limit_of_the_sheet_model(part, exact):
+    """A uniform pulse of a part of the time of flight, of which the field at the cathode falls to zero at its end."""
+    cells, fields, currents = 32, [], exact * np.array([0.93, 0.99])
+    speed = math.sqrt(2 * ELEMENTARY_CHARGE / ELECTRON_MASS * 100.0)
+    steps = int(part * 3 * cells * 1.5)
+    for multiple in currents:
+        amount = -multiple * child(100.0) * (4 * GAP / cells) ** 2
+        source = {"process": "given", "current": amount, "per_step": 64, "momenta": {"kind": "cold"}}
+        motion = {"kind": "leapfrog", "dt": part * 3 * GAP / speed / steps, "frame": "lab"}
+        run = Simulation(MPI.COMM_SELF, diode(100.0, cells, source, 1.0, motion=motion))
+        run.advance(steps)
+        fields.append(run.state.solution.layers[4].at_wall.mean())
+    slope = (fields[1] - fields[0]) / (currents[1] - currents[0])
+    assert currents[1] - fields[1] / slope == pytest.approx(exact, rel=0.01)
+
+
+@pytest.mark.long
+def test_fast_charge_in_bins_of_its_own_leaves_the_field_at_the_wall_zero(tmp_path):
+    """A gun of 50 kV with open sides: slow charge rests in the laboratory, fast charge has images that move against it."""
+    scene = Scene.from_dict(
+        {
+            "domain": {
+                "lower": [-8e-3, -8e-3, 0],
+                "upper": [8e-3, 8e-3, GAP],
+                "cells": [16, 16, 32],
+                "boundary": {"x": "open", "y": "open", "z": "dirichlet"},
+                "potential": {"z": [0, 5e4]},
+            },
+            "sources": [
+                {
+                    "face": "z_lower",
+                    **limited(5e4, 10.0),
+                    "spot": {"shape": "disc", "radius": "3 mm"},
+                    "momenta": warm(COLD, 5e4),
+                }
+            ],
+            "motion": {"kind": "leapfrog", "dt": "2 ps"},
+            "schedule": {"steps": 160},
+            "output": {"write": []},
+        }
+    )
+    whole = Simulation(MPI.COMM_SELF, scene)
+    whole.advance(140)
+    assert len(whole.state.solution.frames.members) > 1 and whole.state.solution.images is not None
+    layer = whole.state.solution.layers[4]
+    inside = np.hypot(*layer.columns.centre[:, :2].T) < 2e-3
+    assert np.abs(layer.at_wall[inside]).mean() < 0.03 * 5e4 / GAP
+    whole.checkpoint(tmp_path / "late")
+    rest = Simulation.restart(MPI.COMM_SELF, tmp_path / "late")
+    whole.advance(5), rest.advance(5)
+    np.testing.assert_array_equal(rest.particles.position, whole.particles.position)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from mpi4py import MPI
 
+from amrpic.commands.preview import preview
 from amrpic.io import time_series
 from amrpic.pic.simulation import Simulation
 from amrpic.scene.scene import Scene
@@ -65,3 +67,10 @@ def test_a_restart_goes_on_with_the_table(tmp_path):
     one, other = (time_series.read(folder / "sources.csv") for folder in (whole, cut))
     for column in ("step", "time", "source", "born_particles", "born_charge", "current"):
         np.testing.assert_array_equal(one[column], other[column])
+
+
+def test_a_preview_counts_what_will_be_born(tmp_path):
+    text = preview(MPI.COMM_SELF, scene(tmp_path, 20), 1)
+    assert "sources give 600 particles of given charge until the last step" in text
+    hot = scene(tmp_path, 20).replace(motion={"kind": "leapfrog", "dt": "auto"})
+    assert "motion.dt is chosen once the first field is known" in preview(MPI.COMM_SELF, hot, 1)

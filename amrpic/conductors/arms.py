@@ -61,8 +61,8 @@ class CutArms:
         box = np.repeat(np.arange(len(rows)), np.diff(self.first_cut))
         cut, side = np.nonzero(self.electrode >= 0)
         size = (rows[:, 3:] - rows[:, :3] + 1)[box[cut]]
-        rest, i = np.divmod(self.cell[cut], size[:, 0])
-        k, j = np.divmod(rest, size[:, 1])
+        row, i = np.divmod(self.cell[cut], size[:, 0])
+        k, j = np.divmod(row, size[:, 1])
         index = np.stack([i, j, k], axis=1) + rows[box[cut], :3]
         lattice = Lattice.of(origin, spacing)
         place = np.stack([lattice.centre(axis, index[:, axis]) for axis in range(3)], axis=1)
@@ -180,8 +180,8 @@ class GrownBoxes:
         """Return the box of each cell, its number there without the layer, and whether it has one."""
         box = np.searchsorted(self.first, cell, side="right") - 1
         extent = self.upper[box] - self.lower[box] + 1
-        rest, i = np.divmod(cell - self.first[box], extent[:, 0])
-        k, j = np.divmod(rest, extent[:, 1])
+        row, i = np.divmod(cell - self.first[box], extent[:, 0])
+        k, j = np.divmod(row, extent[:, 1])
         place = np.stack([i, j, k], axis=1) - 1
         size = extent - 2
         inner: NDArray[np.bool_] = np.all((place >= 0) & (place < size), axis=1)

@@ -55,9 +55,9 @@ def within(box: Ints, cells: Sequence[Ints]) -> Ints:
 def bent(walls: Walls, places: np.ndarray, cosine: float) -> Ints:
     """Return the cells (n, 3) of places on the metal between which its normal turns outwards."""
     pairs = scipy.spatial.cKDTree(places).query_pairs(REACH, output_type="ndarray")
-    one, other = pairs.T
-    turns = (walls.normal[one] * walls.normal[other]).sum(axis=1)
-    spreads = ((walls.normal[other] - walls.normal[one]) * (places[other] - places[one])).sum(axis=1)
+    first, second = pairs.T
+    turns = (walls.normal[first] * walls.normal[second]).sum(axis=1)
+    spreads = ((walls.normal[second] - walls.normal[first]) * (places[second] - places[first])).sum(axis=1)
     # Both sides of a thin sheet are no edge; its rim is seen by the normals there.
     edge = (turns < cosine) & (turns > OPPOSITE) & (spreads > 0)
     return walls.cells[np.unique(pairs[edge])]
@@ -90,7 +90,7 @@ def sheets(walls: Walls) -> tuple[Ints, Ints]:
     key = ((walls.cells[:, 0] << 2 * BITS) + (walls.cells[:, 1] << BITS) + walls.cells[:, 2]) * 3 + walls.side // 2
     steps = np.array([1 << 2 * BITS, 1 << BITS, 1]) * 3
     up, down = np.flatnonzero(walls.side % 2 == 1), np.flatnonzero(walls.side % 2 == 0)
-    _, one, other = np.intersect1d(key[up] + steps[walls.side[up] // 2], key[down], return_indices=True)
-    one, other = up[one], down[other]
-    opposite = (walls.normal[one] * walls.normal[other]).sum(axis=1) < OPPOSITE
-    return walls.cells[one[opposite]], walls.side[one[opposite]] // 2
+    _, below, above = np.intersect1d(key[up] + steps[walls.side[up] // 2], key[down], return_indices=True)
+    below, above = up[below], down[above]
+    opposite = (walls.normal[below] * walls.normal[above]).sum(axis=1) < OPPOSITE
+    return walls.cells[below[opposite]], walls.side[below[opposite]] // 2

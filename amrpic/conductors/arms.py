@@ -116,6 +116,8 @@ def arms_of_boxes(
     crossings: list[Crossings] = []
     lines: list[list[LineSpans]] = [[] for _ in electrodes]
     for number in reversed(range(len(electrodes))):  # so that the first ones come last, and stay
+        if not reaches(electrodes[number].shape, cells, lattice):
+            continue
         for axis in range(3):
             traced = trace(electrodes[number].shape, cells, lattice, axis)
             lines[number].append(traced.lines)
@@ -244,6 +246,14 @@ def ramp(count: Ints) -> Ints:
     """Return 0, 1, … up to each count, one after the other."""
     ends = np.cumsum(count)
     return np.arange(ends[-1] if len(ends) else 0) - np.repeat(ends - count, count)
+
+
+def reaches(shape: Shape, cells: GrownBoxes, lattice: Lattice) -> bool:
+    """Whether the box around a shape meets boxes, or is a cell from them."""
+    low, high = (
+        np.stack([lattice.index(axis, corner[axis]) for axis in range(3)]) for corner in np.array(shape.bounds)
+    )
+    return bool(((cells.lower <= high + 2) & (cells.upper >= low - 2)).all(axis=1).any())
 
 
 def trace(shape: Shape, cells: GrownBoxes, lattice: Lattice, axis: int) -> Traced:

@@ -67,7 +67,8 @@ def contacts(electrodes: Sequence[Conductor], lines: Sequence[Sequence[LineSpans
     Gaps of less than `slack` (3,), m, are none.
     """
     for first, second in apart(electrodes):
-        places = (touching(*pair, slack[pair[0].axis]) for pair in zip(lines[first], lines[second], strict=True))
+        pairs = zip(lines[first], lines[second], strict=False)  # none for one that is elsewhere
+        places = (touching(*pair, slack[pair[0].axis]) for pair in pairs)
         place = next((place for place in places if place is not None), None)
         if place is not None:
             yield Contact(first, second, place)

@@ -92,9 +92,9 @@ def meeting(electrode: Conductor, neighbour: Conductor) -> tuple[float, float, f
         lines = place.reshape(-1, 3)
         key = np.arange(len(lines))
         first, second = (LineSpans(axis, key, lines, body.shape.spans(lines, axis)) for body in (electrode, neighbour))
-        place = touching(first, second, TOUCH * size)
-        if place is not None:
-            return place
+        contact = touching(first, second, TOUCH * size)
+        if contact is not None:
+            return contact
     return None
 
 

@@ -61,8 +61,8 @@ class CutArms:
         box = np.repeat(np.arange(len(rows)), np.diff(self.first_cut))
         cut, side = np.nonzero(self.electrode >= 0)
         size = (rows[:, 3:] - rows[:, :3] + 1)[box[cut]]
-        rest, i = np.divmod(self.cell[cut], size[:, 0])
-        k, j = np.divmod(rest, size[:, 1])
+        row, i = np.divmod(self.cell[cut], size[:, 0])
+        k, j = np.divmod(row, size[:, 1])
         index = np.stack([i, j, k], axis=1) + rows[box[cut], :3]
         lattice = Lattice.of(origin, spacing)
         place = np.stack([lattice.centre(axis, index[:, axis]) for axis in range(3)], axis=1)
@@ -116,6 +116,8 @@ def arms_of_boxes(
     crossings: list[Crossings] = []
     lines: list[list[LineSpans]] = [[] for _ in electrodes]
     for number in reversed(range(len(electrodes))):  # so that the first ones come last, and stay
+        if not reaches(electrodes[number].shape, cells, lattice):
+            continue
         for axis in range(3):
             traced = trace(electrodes[number].shape, cells, lattice, axis)
             lines[number].append(traced.lines)
@@ -180,8 +182,8 @@ class GrownBoxes:
         """Return the box of each cell, its number there without the layer, and whether it has one."""
         box = np.searchsorted(self.first, cell, side="right") - 1
         extent = self.upper[box] - self.lower[box] + 1
-        rest, i = np.divmod(cell - self.first[box], extent[:, 0])
-        k, j = np.divmod(rest, extent[:, 1])
+        row, i = np.divmod(cell - self.first[box], extent[:, 0])
+        k, j = np.divmod(row, extent[:, 1])
         place = np.stack([i, j, k], axis=1) - 1
         size = extent - 2
         inner: NDArray[np.bool_] = np.all((place >= 0) & (place < size), axis=1)
@@ -244,6 +246,14 @@ def ramp(count: Ints) -> Ints:
     """Return 0, 1, … up to each count, one after the other."""
     ends = np.cumsum(count)
     return np.arange(ends[-1] if len(ends) else 0) - np.repeat(ends - count, count)
+
+
+def reaches(shape: Shape, cells: GrownBoxes, lattice: Lattice) -> bool:
+    """Whether the box around a shape meets boxes, or is a cell from them."""
+    low, high = (
+        np.stack([lattice.index(axis, corner[axis]) for axis in range(3)]) for corner in np.array(shape.bounds)
+    )
+    return bool(((cells.lower <= high + 2) & (cells.upper >= low - 2)).all(axis=1).any())
 
 
 def trace(shape: Shape, cells: GrownBoxes, lattice: Lattice, axis: int) -> Traced:

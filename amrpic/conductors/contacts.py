@@ -45,20 +45,20 @@ def refuse_contacts(electrodes: Sequence[Conductor]) -> None:
 
 def sentence(electrodes: Sequence[Conductor], contact: Contact) -> str:
     """Return why electrodes that touch are refused."""
-    one, other = (electrodes[number].name for number in contact[:2])
+    first, second = (electrodes[number].name for number in contact[:2])
     x, y, z = contact.place
     return (
-        f"electrodes {one} and {other} touch at ({x:.6g}, {y:.6g}, {z:.6g}) m and have different voltages; "
+        f"electrodes {first} and {second} touch at ({x:.6g}, {y:.6g}, {z:.6g}) m and have different voltages; "
         "move them apart, or give them the same voltage"
     )
 
 
 def apart(electrodes: Sequence[Conductor]) -> Iterator[tuple[int, int]]:
     """Yield the numbers of each two electrodes that may not touch."""
-    for one, other in combinations(range(len(electrodes)), 2):
-        voltage = electrodes[one].voltage
-        if voltage is None or voltage != electrodes[other].voltage:
-            yield one, other
+    for first, second in combinations(range(len(electrodes)), 2):
+        voltage = electrodes[first].voltage
+        if voltage is None or voltage != electrodes[second].voltage:
+            yield first, second
 
 
 def contacts(electrodes: Sequence[Conductor], lines: Sequence[Sequence[LineSpans]], slack: Floats) -> Iterator[Contact]:
@@ -66,16 +66,17 @@ def contacts(electrodes: Sequence[Conductor], lines: Sequence[Sequence[LineSpans
 
     Gaps of less than `slack` (3,), m, are none.
     """
-    for one, other in apart(electrodes):
-        places = (touching(*pair, slack[pair[0].axis]) for pair in zip(lines[one], lines[other], strict=True))
+    for first, second in apart(electrodes):
+        pairs = zip(lines[first], lines[second], strict=False)  # none for one that is elsewhere
+        places = (touching(*pair, slack[pair[0].axis]) for pair in pairs)
         place = next((place for place in places if place is not None), None)
         if place is not None:
-            yield Contact(one, other, place)
+            yield Contact(first, second, place)
 
 
-def meeting(one: Conductor, other: Conductor) -> tuple[float, float, float] | None:
+def meeting(electrode: Conductor, neighbour: Conductor) -> tuple[float, float, float] | None:
     """Return a place where two electrodes touch, looked for on lines through the box in which both can be."""
-    bounds = np.array([one.shape.bounds, other.shape.bounds])
+    bounds = np.array([electrode.shape.bounds, neighbour.shape.bounds])
     lower, upper = bounds[:, 0].max(axis=0), bounds[:, 1].min(axis=0)
     finite = np.abs(bounds[np.isfinite(bounds)])
     size = float(finite.max(initial=0.0))
@@ -90,21 +91,21 @@ def meeting(one: Conductor, other: Conductor) -> tuple[float, float, float] | No
         place[..., v] = lower[v] + shares * (upper - lower)[v]
         lines = place.reshape(-1, 3)
         key = np.arange(len(lines))
-        first, second = (LineSpans(axis, key, lines, body.shape.spans(lines, axis)) for body in (one, other))
-        found = touching(first, second, TOUCH * size)
-        if found is not None:
-            return found
+        first, second = (LineSpans(axis, key, lines, body.shape.spans(lines, axis)) for body in (electrode, neighbour))
+        contact = touching(first, second, TOUCH * size)
+        if contact is not None:
+            return contact
     return None
 
 
-def touching(one: LineSpans, other: LineSpans, slack: float) -> tuple[float, float, float] | None:
+def touching(first: LineSpans, second: LineSpans, slack: float) -> tuple[float, float, float] | None:
     """Return a place where the spans of two shapes on the same lines touch or overlap."""
-    both = np.intersect1d(one.key, other.key)
-    if not len(both):
+    common = np.intersect1d(first.key, second.key)
+    if not len(common):
         return None
     parts = []
-    for number, (_, keys, _, spans) in enumerate((one, other)):
-        chosen = np.flatnonzero(np.isin(keys, both)[spans.line])
+    for number, (_, keys, _, spans) in enumerate((first, second)):
+        chosen = np.flatnonzero(np.isin(keys, common)[spans.line])
         line = spans.line[chosen]
         parts.append((keys[line], spans.enter[chosen], spans.leave[chosen], line, np.full(len(line), number)))
     key, enter, leave, line, owner = (np.concatenate(column) for column in zip(*parts, strict=True))
@@ -116,6 +117,6 @@ def touching(one: LineSpans, other: LineSpans, slack: float) -> tuple[float, flo
     if not len(met):
         return None
     n = met[0] + 1
-    place = (one, other)[int(owner[n])].place[line[n]].copy()
-    place[one.axis] = enter[n] if np.isfinite(enter[n]) else leave[met[0]]
+    place = (first, second)[int(owner[n])].place[line[n]].copy()
+    place[first.axis] = enter[n] if np.isfinite(enter[n]) else leave[met[0]]
     return float(place[0]), float(place[1]), float(place[2])

@@ -27,11 +27,11 @@ class ElectrodeHits(NamedTuple):
 def first_hits(electrodes: Sequence[Conductor], start: ArrayLike, end: ArrayLike) -> ElectrodeHits:
     """Return where segments between points (n, 3), m, first meet metal; at once, if they start in it."""
     begins, ends = columns("start", start).T, columns("end", end).T
-    found = [electrode.shape.first_hits(begins, ends) for electrode in electrodes]
-    count = [len(hits.segment) for hits in found]
-    segment = np.concatenate([np.empty(0, np.int64), *(hits.segment for hits in found)])
-    share = np.concatenate([np.empty(0), *(hits.share for hits in found)])
-    normal = np.concatenate([np.empty((0, 3)), *(hits.normal for hits in found)])
+    of_each = [electrode.shape.first_hits(begins, ends) for electrode in electrodes]
+    count = [len(hits.segment) for hits in of_each]
+    segment = np.concatenate([np.empty(0, np.int64), *(hits.segment for hits in of_each)])
+    share = np.concatenate([np.empty(0), *(hits.share for hits in of_each)])
+    normal = np.concatenate([np.empty((0, 3)), *(hits.normal for hits in of_each)])
     electrode = np.repeat(np.arange(len(electrodes), dtype=np.int32), count)
     order = np.lexsort((electrode, share, segment))
     first = order[np.unique(segment[order], return_index=True)[1]]

@@ -43,8 +43,8 @@ class Electrode:
         if not isinstance(self.shape, Shape):
             raise InputError(f"{where}: its shape is {self.shape!r}; give one of amrpic.shapes")
         if (self.voltage is None) == (self.charge is None):
-            both = "neither a voltage nor" if self.charge is None else "both a voltage and"
-            raise InputError(f"{where} has {both} a charge; give a voltage, or the charge of one that floats")
+            drives = "neither a voltage nor" if self.charge is None else "both a voltage and"
+            raise InputError(f"{where} has {drives} a charge; give a voltage, or the charge of one that floats")
         if self.charge is not None:
             object.__setattr__(self, "charge", _quantity(f"{where}: its charge", self.charge, "charge"))
         elif isinstance(self.voltage, str) and not re.fullmatch(rf"\s*{NUMBER}\s*[^\W\d]+\s*", self.voltage):

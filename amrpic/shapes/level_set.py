@@ -95,9 +95,9 @@ class LevelSet(Shape):
         low, high = np.maximum(points - step, lower), np.minimum(points + step, upper)
         slopes = np.empty_like(points)
         for axis in range(3):
-            one, other = points.copy(), points.copy()
-            one[axis], other[axis] = low[axis], high[axis]
-            slopes[axis] = (self._value(other) - self._value(one)) / (high[axis] - low[axis])
+            before, behind = points.copy(), points.copy()
+            before[axis], behind[axis] = low[axis], high[axis]
+            slopes[axis] = (self._value(behind) - self._value(before)) / (high[axis] - low[axis])
         return self._or_of_box(points, slopes)
 
     def _or_of_box(self, points: Columns, slopes: Columns) -> Columns:

@@ -79,7 +79,7 @@ class Mesh(Shape):
             order = np.lexsort((triangle, parameter, line))
             line, parameter, triangle = line[order], parameter[order], triangle[order]
             return Spans(line, parameter, parameter, triangle, triangle)
-        found = [crossings]
+        passes = [crossings]
         if len(grazing):
             # Lines that pass an edge within rounding are taken four times more, on all sides of it: the body is closed,
             # and no part of it hangs on rounding.
@@ -88,9 +88,9 @@ class Mesh(Shape):
             for signs in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
                 shift = np.zeros((len(grazing), 3))
                 np.put_along_axis(shift, across, size * np.array([signs], float), axis=1)
-                line, *others, _ = self._triangles.crossings(starts[grazing] + shift, ways[grazing])
-                found.append([grazing[line], *others])
-        line, parameter, depth, triangle = (np.concatenate(column) for column in zip(*found, strict=True))
+                line, *columns, _ = self._triangles.crossings(starts[grazing] + shift, ways[grazing])
+                passes.append([grazing[line], *columns])
+        line, parameter, depth, triangle = (np.concatenate(column) for column in zip(*passes, strict=True))
         return swept_ends(line, parameter, triangle, depth)
 
     def _normals(self, points: Columns, surface: Ints) -> Columns:

@@ -120,17 +120,19 @@ def polygon(where: str, points: Any) -> Profile:
     if (array[:, 1] < 0).any():
         row = first_row(array[:, 1:] < 0)
         raise InputError(f"{where}: point {row} has the radius {array[row, 1]:g} m; give none below zero")
-    kept = (
+    corners = (
         [p for p, before in zip(profile, [profile[-1], *profile[:-1]], strict=True) if p != before] if profile else []
     )
-    if len(kept) < 3 or not area(np.array(kept)):
-        raise InputError(f"{where}: its {len(kept)} different points enclose no area; give three or more of a polygon")
-    crossing = first_crossing(np.array(kept))
+    if len(corners) < 3 or not area(np.array(corners)):
+        raise InputError(
+            f"{where}: its {len(corners)} different points enclose no area; give three or more of a polygon"
+        )
+    crossing = first_crossing(np.array(corners))
     if crossing:
         raise InputError(
             f"{where}: the edges after points {crossing[0]} and {crossing[1]} meet; order the points along the outline"
         )
-    return tuple(kept)
+    return tuple(corners)
 
 
 def first_row(wrong: np.ndarray) -> int:
@@ -149,15 +151,15 @@ def first_crossing(points: Floats) -> tuple[int, int] | None:
 
     n = len(points)
     for i in range(n - 2):
-        others = np.arange(i + 2, n - (i == 0))
-        one = side(a[i], b[i], a[others]) * side(a[i], b[i], b[others])
-        other = side(a[others], b[others], a[i]) * side(a[others], b[others], b[i])
+        later = np.arange(i + 2, n - (i == 0))
+        across = side(a[i], b[i], a[later]) * side(a[i], b[i], b[later])
+        back = side(a[later], b[later], a[i]) * side(a[later], b[later], b[i])
         low, high = np.minimum(a, b), np.maximum(a, b)
-        apart = (low[others] > high[i]).any(axis=1) | (high[others] < low[i]).any(axis=1)
-        on_axis = (high[others, 1] == 0) & (high[i, 1] == 0)
-        meet = (one <= 0) & (other <= 0) & ~apart & ~on_axis
+        clear = (low[later] > high[i]).any(axis=1) | (high[later] < low[i]).any(axis=1)
+        on_axis = (high[later, 1] == 0) & (high[i, 1] == 0)
+        meet = (across <= 0) & (back <= 0) & ~clear & ~on_axis
         if meet.any():
-            return i, int(others[np.argmax(meet)])
+            return i, int(later[np.argmax(meet)])
     return None
 
 

@@ -106,8 +106,8 @@ class Shape(ABC):
         """Return which segments between points (n, 3) may meet the box around it."""
         lower, upper = (np.array(corner) for corner in self.bounds)
         margin = ROUNDING * np.abs([lower, upper]).max(initial=0.0, where=np.isfinite([lower, upper]))
-        apart = (np.minimum(start, end) > upper + margin) | (np.maximum(start, end) < lower - margin)
-        return np.flatnonzero(~apart.any(axis=1))
+        clear = (np.minimum(start, end) > upper + margin) | (np.maximum(start, end) < lower - margin)
+        return np.flatnonzero(~clear.any(axis=1))
 
     def normals(self, points: ArrayLike, surface: ArrayLike, direction: ArrayLike) -> Floats:
         """Return unit normals (n, 3) at points on the body's surfaces, against the directions by which these are met."""
@@ -146,14 +146,14 @@ class Shape(ABC):
         return _about(self, np.diag(factors), checks.point("scaled: about", about))
 
 
-def columns(what: str, points: ArrayLike) -> Columns:
+def columns(where: str, points: ArrayLike) -> Columns:
     """Return x, y and z (3, n) of points (n, 3), as a copy. Raises InputError."""
     array = np.asarray(points, float)
     if array.shape[-1:] != (3,) or array.ndim > 2:
-        raise InputError(f"{what} has shape {array.shape}; give points as an array of shape (n, 3), m")
+        raise InputError(f"{where} has shape {array.shape}; give points as an array of shape (n, 3), m")
     if not np.isfinite(array).all():
         row = int(np.argmin(np.isfinite(array.reshape(-1, 3)).all(axis=1)))
-        raise InputError(f"{what} has a value that is not finite in row {row}; give finite numbers, m")
+        raise InputError(f"{where} has a value that is not finite in row {row}; give finite numbers, m")
     return np.array(array.reshape(-1, 3).T, order="C")
 
 
@@ -228,11 +228,11 @@ def slabs(bounds: tuple[Point, Point], start: Columns, direction: Columns, slack
     """
     enter, leave = np.full(start.shape[1], -np.inf), np.full(start.shape[1], np.inf)
     for lower, upper, p, d in zip(*bounds, start, direction, strict=True):
-        one, other = (lower - p) / d, (upper - p) / d
+        to_lower, to_upper = (lower - p) / d, (upper - p) / d
         across = d == 0
         outside = (p < lower - slack) | (p > upper + slack)
-        low = np.where(across, np.where(outside, np.inf, -np.inf), np.minimum(one, other))
-        high = np.where(across, np.where(outside, -np.inf, np.inf), np.maximum(one, other))
+        low = np.where(across, np.where(outside, np.inf, -np.inf), np.minimum(to_lower, to_upper))
+        high = np.where(across, np.where(outside, -np.inf, np.inf), np.maximum(to_lower, to_upper))
         enter, leave = np.maximum(enter, low), np.minimum(leave, high)
     return enter, leave
 
@@ -298,9 +298,9 @@ def _corners(lower: Floats, upper: Floats) -> tuple[Point, Point]:
 def _combination(kind: Kind, first: Shape, second: object) -> Shape:
     if not isinstance(second, Shape):
         return NotImplemented
-    one = first.parts if isinstance(first, Combination) and first.kind == kind else (first,)
+    parts = first.parts if isinstance(first, Combination) and first.kind == kind else (first,)
     nested = isinstance(second, Combination) and second.kind == kind and kind != "difference"
-    return Combination(kind, (*one, *(cast(Combination, second).parts if nested else (second,))))
+    return Combination(kind, (*parts, *(cast(Combination, second).parts if nested else (second,))))
 
 
 Function = Callable[[Floats, Floats, Floats], Floats]

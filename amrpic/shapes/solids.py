@@ -276,11 +276,11 @@ class AxialLines:
 
     def between(self, low: float, high: float) -> tuple[Floats, Floats]:
         """Return s where lines enter and leave the layer between two heights."""
-        one, other = self.at_height(low), self.at_height(high)
+        at_low, at_high = self.at_height(low), self.at_height(high)
         outside = (self.z < low) | (self.z > high)
         across = self.dz == 0
-        enter = np.where(across, np.where(outside, np.inf, -np.inf), np.minimum(one, other))
-        leave = np.where(across, np.where(outside, -np.inf, np.inf), np.maximum(one, other))
+        enter = np.where(across, np.where(outside, np.inf, -np.inf), np.minimum(at_low, at_high))
+        leave = np.where(across, np.where(outside, -np.inf, np.inf), np.maximum(at_low, at_high))
         return enter, leave
 
     def in_frustum(self, low: float, high: float, radius_low: float, radius_high: float) -> tuple[Floats, Floats]:
@@ -292,11 +292,11 @@ class AxialLines:
         enter, leave = self.between(low, high)
         root = np.sqrt(b * b - a * c)  # nan where there is none
         large = -(b + np.where(b < 0, -root, root))
-        one, other = large / a, c / large
+        outer, inner = large / a, c / large
         flat = a == 0
-        one = np.where(flat, np.nan, one)
-        other = np.where(flat, -c / (2 * b), other)
-        first, last = np.fmin(one, other), np.fmax(one, other)
+        outer = np.where(flat, np.nan, outer)
+        inner = np.where(flat, -c / (2 * b), inner)
+        first, last = np.fmin(outer, inner), np.fmax(outer, inner)
         starts, stops = self._excess(a, b, c, enter), self._excess(a, b, c, leave)
         # The layer holds no more than one interval. It begins at the layer's face, or else at the first root in it.
         begin = np.where(starts <= 0, enter, np.where(first >= enter, first, last))

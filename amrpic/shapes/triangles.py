@@ -37,8 +37,8 @@ class Report(NamedTuple):
 
     def __str__(self) -> str:
         words = [
-            f"{count} {what}"
-            for count, what in (
+            f"{count} {defect}"
+            for count, defect in (
                 (self.degenerate, "without area"),
                 (self.duplicates, "twice"),
                 (self.flipped, "flipped"),
@@ -100,8 +100,8 @@ def read_text(path: str | os.PathLike[str], data: bytes) -> Floats:
     for number, line in enumerate(text.split(b"\n"), 1):
         words = line.split()
         if words[:1] == [b"vertex"] and not (len(words) == 4 and all(map(is_number, words[1:]))):
-            found = line.decode(errors="replace").strip()[:60]
-            raise InputError(f'Mesh: {path} has "{found}" in line {number}; write "vertex" and three numbers')
+            excerpt = line.decode(errors="replace").strip()[:60]
+            raise InputError(f'Mesh: {path} has "{excerpt}" in line {number}; write "vertex" and three numbers')
     raise InputError(
         f"Mesh: {path} has {len(rows)} corners in {facets} facets; each needs three, so it may be cut off: export it again"
     )
@@ -147,13 +147,13 @@ def closed(where: str, corners: Floats) -> Surface:
             f"{where}: its surface of {area:.3g} m² has {edges} open edges around holes of {hole_area:.3g} m²; "
             "close them, or give it as a foil (foil=True)"
         )
-    every = np.concatenate([points[canonical(triangles)], fans])
+    sides = np.concatenate([points[canonical(triangles)], fans])
     weights = np.concatenate([np.ones(len(triangles), np.int32), weight.astype(np.int32)])
-    if volumes(every) @ weights < 1e-12 * area * np.ptp(points, axis=0).max():
+    if volumes(sides) @ weights < 1e-12 * area * np.ptp(points, axis=0).max():
         raise InputError(
             f"{where}: its triangles enclose no volume; close the surface, or give it as a foil (foil=True)"
         )
-    return Surface(every, weights, report)
+    return Surface(sides, weights, report)
 
 
 def as_foil(where: str, corners: Floats) -> Surface:
@@ -161,10 +161,10 @@ def as_foil(where: str, corners: Floats) -> Surface:
     if not len(corners) or not np.isfinite(corners).all():
         closed(where, corners)
     points, triangles = welded(corners)
-    every = points[canonical(without_duplicates(triangles)[0])]
-    area = float(np.linalg.norm(np.cross(every[:, 1] - every[:, 0], every[:, 2] - every[:, 0]), axis=1).sum() / 2)
-    report = Report(len(corners), 0, len(corners) - len(every), 0, 0, 0, 0.0, area)
-    return Surface(every, np.ones(len(every), np.int32), report)
+    sides = points[canonical(without_duplicates(triangles)[0])]
+    area = float(np.linalg.norm(np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0]), axis=1).sum() / 2)
+    report = Report(len(corners), 0, len(corners) - len(sides), 0, 0, 0, 0.0, area)
+    return Surface(sides, np.ones(len(sides), np.int32), report)
 
 
 def welded(corners: Floats) -> tuple[Floats, Ints]:
@@ -201,12 +201,12 @@ def open_edges(triangles: Ints) -> tuple[Ints, Ints]:
     edges = edges_of(triangles)
     forwards = edges[:, 0] < edges[:, 1]
     first, number = unique_rows(np.sort(edges, axis=1))
-    both = np.sort(edges[first], axis=1)
-    excess = np.bincount(number, np.where(forwards, 1, -1), len(both)).astype(np.int64)
-    excess[both[:, 0] == both[:, 1]] = 0
+    ends = np.sort(edges[first], axis=1)
+    excess = np.bincount(number, np.where(forwards, 1, -1), len(ends)).astype(np.int64)
+    excess[ends[:, 0] == ends[:, 1]] = 0
     chosen = np.flatnonzero(excess)
     backwards = excess[chosen] < 0
-    return np.where(backwards[:, None], both[chosen][:, ::-1], both[chosen]), abs(excess[chosen])
+    return np.where(backwards[:, None], ends[chosen][:, ::-1], ends[chosen]), abs(excess[chosen])
 
 
 def oriented(triangles: Ints) -> tuple[Ints, Ints]:
@@ -216,17 +216,19 @@ def oriented(triangles: Ints) -> tuple[Ints, Ints]:
     _, number = unique_rows(np.sort(edges, axis=1))
     pairs = np.argsort(number, kind="stable")
     pairs = pairs[(np.bincount(number) == 2)[number[pairs]]].reshape(-1, 2)
-    one, other = owner[pairs].T
+    first_owner, second_owner = owner[pairs].T
     against = (edges[pairs[:, 0]] == edges[pairs[:, 1]]).all(axis=1)  # both go the same way along their edge
     n = len(triangles)
     # 1: they agree, 2: they do not; each pair of triangles once.
-    keys, first = np.unique(np.minimum(one, other) * n + np.maximum(one, other), return_index=True)
+    keys, first = np.unique(
+        np.minimum(first_owner, second_owner) * n + np.maximum(first_owner, second_owner), return_index=True
+    )
     links = scipy.sparse.coo_matrix((np.where(against[first], 2, 1), (keys // n, keys % n)), shape=(n, n)).tocsr()
     links = links + links.T
     pieces, piece = scipy.sparse.csgraph.connected_components(links, directed=False)
     turned = np.zeros(n, bool)
     wrong = np.zeros(pieces, bool)
-    wrong[piece[one[against]]] = True
+    wrong[piece[first_owner[against]]] = True
     for start in np.unique(piece, return_index=True)[1][wrong]:
         order, before = scipy.sparse.csgraph.breadth_first_order(links, start, directed=False)
         if len(order) > 1:
@@ -246,16 +248,16 @@ def outward(points: Floats, triangles: Ints, piece: Ints) -> Ints:
     inside_out = np.bincount(piece, parts) < 0
     if not inside_out.any():
         return triangles
-    every = np.where(inside_out[piece][:, None], triangles[:, ::-1], triangles)
+    upright = np.where(inside_out[piece][:, None], triangles[:, ::-1], triangles)
     chosen = np.flatnonzero(inside_out[piece])
-    corner, owner = points[every[chosen, 0]], piece[chosen]
-    surface = _native.Triangles(points[every].reshape(-1, 9), np.ones(len(every), np.int32))
+    corner, owner = points[upright[chosen, 0]], piece[chosen]
+    surface = _native.Triangles(points[upright].reshape(-1, 9), np.ones(len(upright), np.int32))
     line, parameter, depth, met, _ = surface.crossings(corner, np.tile((1.0, 0.0, 0.0), (len(corner), 1)))
-    around = (parameter < 0) & (piece[met] != owner[line])
-    free = np.bincount(line[around], depth[around], len(corner)) <= 0
+    before = (parameter < 0) & (piece[met] != owner[line])
+    free = np.bincount(line[before], depth[before], len(corner)) <= 0
     hollow = inside_out.copy()
     hollow[owner[free]] = False
-    return np.where(hollow[piece][:, None], triangles, every)
+    return np.where(hollow[piece][:, None], triangles, upright)
 
 
 def filled(points: Floats, triangles: Ints) -> tuple[Floats, Ints, int, int]:

@@ -81,3 +81,8 @@ def test_cells_do_not_depend_on_boxes(size):
     boxes = [[i, j, k, i + size - 1, j + size - 1, k + size - 1] for k in starts for j in starts for i in starts]
     for shape, _ in EDGES.values():
         assert np.array_equal(cells_at_edges(shape, boxes), cells_at_edges(shape))
+
+
+def test_edges_of_bodies_without_edges_on_these_cells_are_none():
+    assert len(cells_at_edges(shapes.Plane((0, 0, 0.01), (0, 0, 1)))) == 0
+    assert len(cells_at_edges(shapes.Sphere((9, 0, 0), 1))) == 0

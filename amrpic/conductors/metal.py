@@ -25,7 +25,8 @@ class MetalOnMesh:
 
     def native(self) -> _native.Metal:
         """Return what a native solver asks; it keeps this object alive."""
-        return _native.Metal(len(self._electrodes), self._ask)
+        spacing = self._domain.spacing * self._stretch
+        return _native.Metal(len(self._electrodes), self._domain.cells, spacing.tolist(), self._ask)
 
     def finish(self) -> None:
         """Forget what was asked. Raise InputError, if electrodes of different voltages touch where this rank has. Local."""

@@ -131,6 +131,7 @@ class PoissonSolver:
             raise SolverError(refusal)
         metal = MetalOnMesh(self.electrodes, hierarchy.domain, chosen.stretch) if self.electrodes else None
         self._unit_potentials: list[Field] | None = None  # of each electrode at 1 V, when they are first needed
+        self._unit_walls: list[list[np.ndarray]] = []  # what walls, open ones too, hold then
         self._capacitance: np.ndarray | None = None
         of_bottom = chosen.bottom, chosen.bottom_preconditioner, chosen.stretch, chosen.screening
         across = None if mirror is None else mirror.axis
@@ -252,7 +253,7 @@ class PoissonSolver:
         if self._capacitance is None:
             self._set_walls(None, None)
             nothing = Field(self.hierarchy)
-            potentials, charges = [], []
+            potentials, charges, walls = [], [], []
             for unit in np.eye(len(self.electrodes)):
                 phi = Field(self.hierarchy)
                 phi.unit = "V"
@@ -260,7 +261,8 @@ class PoissonSolver:
                 self.native.solve(nothing.native, phi.native, True, _native.MeshError(), 0.0, False)
                 potentials.append(phi)
                 charges.append(self.native.charges(phi.native, nothing.native))
-            self._unit_potentials, self._capacitance = potentials, np.array(charges).T
+                walls.append(self._wall_data())
+            self._unit_potentials, self._unit_walls, self._capacitance = potentials, walls, np.array(charges).T
         return self._capacitance.copy()
 
     def unit_potential(self, name: str) -> Field:
@@ -278,7 +280,7 @@ class PoissonSolver:
         charges = np.array(self.native.charges(phi.native, rho.native))
         floating = [n for n, electrode in enumerate(self.electrodes) if electrode.floats]
         if floating:
-            walls, faces = self._walls, [self.native.wall_data(level).copy() for level in range(self.hierarchy.levels)]
+            walls, faces = self._walls, self._wall_data()
             capacitance = self.capacitance()
             wanted = np.array([electrode.charge for electrode in self.electrodes if electrode.floats], float)
             rise = np.linalg.solve(capacitance[np.ix_(floating, floating)], wanted - charges[floating])
@@ -286,6 +288,7 @@ class PoissonSolver:
             for n, volts in zip(floating, rise, strict=True):
                 for level in range(self.hierarchy.levels):
                     phi.array(level)[:] += volts * self._unit_potentials[n].array(level)
+                    faces[level] += volts * self._unit_walls[n][level]
             voltages[floating] += rise
             charges += capacitance[:, floating] @ rise
             self._walls = walls
@@ -298,6 +301,10 @@ class PoissonSolver:
             charges=dict(zip(names, charges.tolist(), strict=True)),
             voltages=dict(zip(names, voltages.tolist(), strict=True)),
         )
+
+    def _wall_data(self) -> list[np.ndarray]:
+        """Return what the walls of this rank hold, per level."""
+        return [self.native.wall_data(level).copy() for level in range(self.hierarchy.levels)]
 
     @property
     def base_setup(self) -> BaseSetup:

@@ -124,9 +124,12 @@ void bind_solver(nb::module_& m) {
   using Surfaces = nb::ndarray<std::int32_t const, nb::shape<-1, 6>, nb::c_contig, nb::device::cpu>;
   nb::class_<Metal>(m, "Metal").def(
       "__init__",
-      [](Metal* self, int electrodes, nb::callable ask) {
+      [](Metal* self, int electrodes, std::array<int, 3> const& cells, std::array<Real, 3> const& spacing,
+         nb::callable ask) {
         // ask(lower, shape, spacing): solid cells and their electrodes, cut cells, their arms and electrodes
-        new (self) Metal(electrodes, [ask](Box const& region, Real3 const& spacing) {
+        Index3 const base{cells[0], cells[1], cells[2]};
+        Real3 const widths{spacing[0], spacing[1], spacing[2]};
+        new (self) Metal(electrodes, base, widths, [ask](Box const& region, Real3 const& spacing) {
           nb::gil_scoped_acquire held;
           std::array<int, 3> const lower{region.lower[0], region.lower[1], region.lower[2]};
           std::array<int, 3> const shape{region.extent(0), region.extent(1), region.extent(2)};
@@ -148,7 +151,7 @@ void bind_solver(nb::module_& m) {
           return MetalCells(std::move(cuts), std::move(solids));
         });
       },
-      "electrodes"_a, "ask"_a);
+      "electrodes"_a, "cells"_a, "spacing"_a, "ask"_a);
   nb::class_<PoissonSolver>(m, "PoissonSolver")
       .def(
           "__init__",

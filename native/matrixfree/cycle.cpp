@@ -145,7 +145,7 @@ Cycle::Cycle(Communicator const& comm, MultigridLevels multigrid, int max_grid_s
     direct_ = std::make_unique<DenseRows>(cells, equation, walls, coarsest.periodic(), rules.seam_width, in_metal);
   else
     direct_ = std::make_unique<FastDiagonalisation>(cells, equation, walls, coarsest.periodic(), rules.seam_width,
-                                                    !metal && leaves_mean(levels()));
+                                                    leaves_mean(levels()));
 }
 
 void Cycle::solve_coarsest() {

@@ -152,7 +152,7 @@ DenseRows::DenseRows(Index3 const& cells, Equation const& equation, WallGhosts c
       factor[side] = n > 1 ? ghost.second : 0;
       place[side] = along(cut.cell, d, n > 1 ? cut.cell[d] - (s == 0 ? -1 : 1) : 0);
     }
-    CutRow const row = cut_row(equation, arms);
+    CutRow const row = cut_row(equation, arms, cut.hold);
     clear_row(cut.cell);
     at(cut.cell, cut.cell) = -row.diagonal;
     for (std::size_t side = 0; side < 6; ++side) at(cut.cell, place[side]) += row.neighbour[side] * factor[side];

@@ -248,7 +248,7 @@ void Stencil::add_metal(Level const& level, CellBlock const& block, BoxFaces con
       for_each_part_in_domain(level, block.box, j, k, [&](Index3 const& first, int count, int place) {
         metal.for_each_cut(first, count, [&](CutCell const& cut) {
           Index3 const at{place + cut.cell[0] - first[0], j, k};
-          CutRow const row = cut_row(equation, arms_of(at, cut));
+          CutRow const row = cut_row(equation, arms_of(at, cut), cut.hold);
           CutPlace out{at[0], {}, float(row.diagonal), float(relaxation_ / row.diagonal)};
           for (std::size_t n = 0; n < 6; ++n) out.weight[n] = float(row.neighbour[n]);
           cuts[std::size_t(at[0] % 2)].push_back(out);

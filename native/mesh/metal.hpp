@@ -17,6 +17,7 @@ struct CutCell {
   Index3 cell;
   std::array<Real, 6> arm;       ///< to the first surface on the way, over the spacing; above 1 where there is none
   std::array<int, 6> electrode;  ///< whose it is, or -1
+  Real hold = 0;  ///< on coarse levels: what metal that is too thin for their arms adds to the diagonal, over this
 
   bool is_cut(std::size_t side) const { return electrode[side] >= 0; }
 };
@@ -73,7 +74,9 @@ class Metal {
   /// ask(region, spacing) finds those of a region of cells that starts at the lower corner of the domain; called by one
   /// thread, the same numbers for a cell whatever the region.
   using Ask = std::function<MetalCells(Box const&, Real3 const&)>;
-  Metal(int electrodes, Ask ask) : electrodes_(electrodes), ask_(std::move(ask)) {}
+  /// `base`, `spacing`: the cells of the base level.
+  Metal(int electrodes, Index3 const& base, Real3 const& spacing, Ask ask)
+      : electrodes_(electrodes), base_{{0, 0, 0}, {base[0] - 1, base[1] - 1, base[2] - 1}}, spacing_(spacing), ask_(std::move(ask)) {}
 
   int electrodes() const { return electrodes_; }
   /// The cells in boxes on a level, which may be images behind periodic faces. Walls end arms half-way, and hide metal
@@ -83,7 +86,11 @@ class Metal {
   MetalCells own_cells(Level const& level) const;
 
  private:
+  void add_thin(Level const& level, Box const& region, MetalCells& cells) const;
+
   int electrodes_;
+  Box base_;
+  Real3 spacing_;
   Ask ask_;
 };
 

@@ -66,10 +66,11 @@ struct CutRow {
   Real diagonal = 0, scale = 1;
 };
 
-inline CutRow cut_row(Equation const& equation, std::array<Arm, 6> const& arms) {
+/// `hold`: of thin metal, over the diagonal of other cells.
+inline CutRow cut_row(Equation const& equation, std::array<Arm, 6> const& arms, Real hold = 0) {
   CutRow out;
-  Real of_metal = equation.shift;
-  out.diagonal = equation.shift;
+  Real of_metal = equation.shift + hold * equation.diagonal();
+  out.diagonal = of_metal;
   for (std::size_t axis = 0; axis < 3; ++axis) {
     std::array<Arm, 2> side{arms[2 * axis], arms[2 * axis + 1]};
     of_metal += equation.weight[axis] * ArmPair{side[0].length, side[1].length}.second_difference()[2];

@@ -118,8 +118,8 @@ def ours(name: str, bunch: Bunch, runs: int) -> tuple[Record, np.ndarray]:
 def of_xfields(name: str, bunch: Bunch, widths: np.ndarray, runs: int) -> Record:
     """Return the record of xfields' FFT solver in cells about so wide (3,), m."""
     os.environ.setdefault("XSUITE_ALLOW_KERNEL_COMPILATION", "1")
-    import xfields  # type: ignore[import-not-found]
-    import xobjects  # type: ignore[import-not-found]
+    import xfields
+    import xobjects
 
     reach = np.abs(bunch.places).max(axis=0) + 1.5 * widths
     cells = np.ceil(2 * reach / widths).astype(int)

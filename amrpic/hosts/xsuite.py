@@ -92,10 +92,11 @@ def replace_space_charge(line: Any, **settings: Any) -> list[SpaceCharge]:
 
     They have the names and lengths of these, and share one engine; `settings` as above.
     """
-    names = [name for name in line.element_names if type(line[name]).__name__.startswith("SpaceCharge")]
+    there = line.element_dict
+    names = [name for name in line.element_names if type(there[name]).__name__.startswith("SpaceCharge")]
     if not names:
         raise InputError("the line has no elements of space charge; call xfields.install_spacecharge_frozen first")
-    made = _sharing([float(line[name].length) for name in names], settings)
+    made = _sharing([float(there[name].length) for name in names], settings)
     line.discard_tracker()
     for name, element in zip(names, made, strict=True):
         line.env.remove(name)

@@ -115,7 +115,7 @@ def tunes(seen: np.ndarray) -> np.ndarray:
 
 def test_a_coasting_kv_beam_keeps_its_emittance_and_has_the_tune_of_theory(host):
     """A hundred turns of a matched beam with a tune shift of 0.05."""
-    number, period = 2**13, 0.2
+    number, period = 2**15, 0.2
     axes, tune = matched(PERVEANCE)
     shift = matched(0.0)[1] - tune
     assert shift == pytest.approx([0.05, 0.05], rel=1e-3)

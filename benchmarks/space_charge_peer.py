@@ -57,7 +57,7 @@ def ellipsoid(number: int) -> Bunch:
     places = quiet_ellipsoid(number, AXES)
     inside = np.flatnonzero(((places / AXES) ** 2).sum(axis=1) < 0.75**2)
     sample = inside[:: max(1, number // SAMPLE)]
-    return Bunch(places, sample, ellipsoid_field(places[sample], AXES, CHARGE), {})
+    return Bunch(places, sample, ellipsoid_field(places[sample], AXES, CHARGE), {"levels": 1})
 
 
 def core_with_halo(number: int) -> Bunch:
@@ -75,7 +75,7 @@ def core_with_halo(number: int) -> Bunch:
 BUNCHES: dict[str, Callable[[int], Bunch]] = {
     "round": lambda number: gaussian(number, ROUND),
     "ellipsoid": ellipsoid,
-    "flat 50:50:1": lambda number: gaussian(number, FLAT, cells=(80, 80, 40), levels=2),
+    "flat 50:50:1": lambda number: gaussian(number, FLAT),
     "long 1:1:50": lambda number: gaussian(number, LONG, cells=(32, 32, 64), levels=2),
     "core with halo": core_with_halo,
 }
@@ -118,8 +118,8 @@ def ours(name: str, bunch: Bunch, runs: int) -> tuple[Record, np.ndarray]:
 def of_xfields(name: str, bunch: Bunch, widths: np.ndarray, runs: int) -> Record:
     """Return the record of xfields' FFT solver in cells about so wide (3,), m."""
     os.environ.setdefault("XSUITE_ALLOW_KERNEL_COMPILATION", "1")
-    import xfields  # type: ignore[import-not-found]
-    import xobjects  # type: ignore[import-not-found]
+    import xfields
+    import xobjects
 
     reach = np.abs(bunch.places).max(axis=0) + 1.5 * widths
     cells = np.ceil(2 * reach / widths).astype(int)

@@ -40,8 +40,11 @@ class SpaceCharge:
         def column(name: str) -> np.ndarray:
             return np.concatenate([tile[name][:] for tile in tiles]) if tiles else np.zeros(0)
 
+        x, y, z = (column(name) for name in PLACES)
         kick = self.charges.kick(
-            *(column(name) for name in PLACES),
+            x,
+            y,
+            z,
             column("weighting") * (reference.charge_qe * ELEMENTARY_CHARGE),
             self.length,
             reference.beta,

@@ -75,7 +75,7 @@ class SpaceCharge:
 def install_space_charge(line: Any, count: int, **settings: Any) -> list[SpaceCharge]:
     """Put so many elements into a line and return them: in the middles of equal parts of its length, and for the path of these.
 
-    They share one engine. `settings`: those of `amrpic.SpaceCharge`, and `longitudinal`. Thick elements are cut where they stand.
+    They share one engine. `settings`: those of `amrpic.SpaceCharge`, and `longitudinal`. Thick elements are cut.
     """
     path = line.get_length() / count
     made = _sharing([path] * count, settings)
@@ -92,10 +92,11 @@ def replace_space_charge(line: Any, **settings: Any) -> list[SpaceCharge]:
 
     They have the names and lengths of these, and share one engine; `settings` as above.
     """
-    names = [name for name in line.element_names if type(line[name]).__name__.startswith("SpaceCharge")]
+    there = line.element_dict
+    names = [name for name in line.element_names if type(there[name]).__name__.startswith("SpaceCharge")]
     if not names:
         raise InputError("the line has no elements of space charge; call xfields.install_spacecharge_frozen first")
-    made = _sharing([float(line[name].length) for name in names], settings)
+    made = _sharing([float(there[name].length) for name in names], settings)
     line.discard_tracker()
     for name, element in zip(names, made, strict=True):
         line.env.remove(name)

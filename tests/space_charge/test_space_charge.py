@@ -42,7 +42,7 @@ SHAPES: dict[
     str, Any
 ] = {  # sizes, settings, rms errors over the largest field: of 2^17 particles, and of 2^20 with finer cells
     "round": (ROUND, {}, {}, 4e-3),
-    "flat": (FLAT, {}, {"cells": (80, 80, 40), "levels": 2}, 5e-3),
+    "flat": (FLAT, {}, {}, 5e-3),
     "long": (LONG, {}, {"cells": (32, 32, 64), "levels": 2}, 4e-3),
 }
 
@@ -61,7 +61,7 @@ def test_an_even_ellipsoid_has_its_exact_field_inside(long):
     axes, number = 1e-3 * np.array([1.0, 1.5, 2.0]), 2**20 if long else 2**17
     places = quiet_ellipsoid(number, axes)
     inside = np.flatnonzero(((places / axes) ** 2).sum(axis=1) < 0.75**2)[:: number // 4000]
-    found = made(**QUIET).field(*places.T, CHARGE / number)
+    found = made(levels=1, **QUIET).field(*places.T, CHARGE / number)
     assert rms_error(found[inside], ellipsoid_field(places[inside], axes, CHARGE)) < (1e-3 if long else 4e-3)
 
 

@@ -75,7 +75,7 @@ class SpaceCharge:
 def install_space_charge(line: Any, count: int, **settings: Any) -> list[SpaceCharge]:
     """Put so many elements into a line and return them: in the middles of equal parts of its length, and for the path of these.
 
-    They share one engine. `settings`: those of `amrpic.SpaceCharge`, and `longitudinal`. Thick elements are cut where they stand.
+    They share one engine. `settings`: those of `amrpic.SpaceCharge`, and `longitudinal`. Thick elements are cut there.
     """
     path = line.get_length() / count
     made = _sharing([path] * count, settings)

@@ -10,17 +10,17 @@ from ..errors import InputError
 from ..particles.species import Species, SpeciesTable
 from ..scene.scene import Scene
 from ..scene.sources import first_ids
-from ..units import Quantity
+from ..units import Column
 
 SOURCES = "sources.csv"
 COLUMNS = ("source", "born_particles", "born_charge", "current")
 TABLE = (
-    Quantity("step", counts=True),
-    Quantity("time", "s"),
-    Quantity("source", is_text=True),
-    Quantity("born_particles", counts=True),
-    Quantity("born_charge", "C"),
-    Quantity("current", "A"),  # mean of the latest step
+    Column("step", counts=True),
+    Column("time", "s"),
+    Column("source", is_text=True),
+    Column("born_particles", counts=True),
+    Column("born_charge", "C"),
+    Column("current", "A"),  # mean of the latest step
 )
 
 

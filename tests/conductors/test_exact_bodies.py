@@ -194,7 +194,9 @@ def test_a_prolate_spheroid(as_level_set):
 
 def test_two_equal_spheres_between_open_faces():
     a = 0.25
-    pair = [Electrode(name, shapes.Sphere((0.003, 0.007, z), a), voltage=0) for name, z in (("a", -0.375), ("b", 0.375))]
+    pair = [
+        Electrode(name, shapes.Sphere((0.003, 0.007, z), a), voltage=0) for name, z in (("a", -0.375), ("b", 0.375))
+    ]
     capacitance = PoissonSolver(cube(48, "open"), electrodes=pair, tolerance=1e-10).capacitance() / (COULOMB * a)
     assert capacitance == pytest.approx(np.array([[1.1462874, -0.3890831], [-0.3890831, 1.1462874]]), rel=1.5e-3)
     # what the tree behind open faces leaves

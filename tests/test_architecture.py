@@ -340,3 +340,23 @@ def test_bound_names_say_what_they_hold():
 def test_bound_names_are_found():
     text = "found: int = 1\nfor one, _held in x:\n    pass\ndef f(given):\n    return lambda there: there.found"
     assert sorted(bound_names(text)) == ["_held", "found", "given", "one", "there"]
+
+
+# Names of classes that stand twice, each for its reason.
+TWICE = {
+    "Scene": "public, of particles in cells and of material points",
+    "Simulation": "public, of particles in cells and of material points",
+    "Mesh": "public, of elements and of triangles",
+    "SolveReport": "public, of elements and of Poisson's equation on refined meshes",
+    "SpaceCharge": "public, on its own and as an element of each host",
+}
+
+
+def test_no_class_name_stands_twice():
+    modules: dict[str, list[str]] = {}
+    for path in python_files():
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ClassDef):
+                modules.setdefault(node.name, []).append(name_of(path))
+    assert {name: where for name, where in modules.items() if len(where) > 1 and name not in TWICE} == {}
+    assert len(TWICE) <= 5

@@ -8,7 +8,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 import mpi_batch
+
+pytestmark = pytest.mark.long  # what is tested is a tool, which users do not meet: for `make verify`
 
 HERE = Path(__file__).parent
 INNER = ("batch", "processes", "rank", "server")  # what the plugin consists of

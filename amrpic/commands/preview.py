@@ -37,9 +37,9 @@ from ..run.machine import MIB, machine_memory
 from ..scene.refinement_rules import (
     CallableRule,
     ChargeDensityRule,
-    Combination,
     FieldStrengthRule,
     PotentialRule,
+    RuleCombination,
     RuleKind,
 )
 from ..scene.scene import Scene
@@ -123,7 +123,7 @@ def _setup_without_solves(comm: MPI.Comm, scene: Scene) -> tuple[Setup, list[str
 def _without_field(rule: RuleKind, kinds: list[str]) -> RuleKind:
     """Return a rule with charge density in place of what needs a solve; `kinds` grows by the kinds of these."""
     match rule:
-        case Combination():
+        case RuleCombination():
             return rule.model_copy(update={"of": [_without_field(part, kinds) for part in rule.of]})
         case PotentialRule() | FieldStrengthRule():
             pass

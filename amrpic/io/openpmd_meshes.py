@@ -135,8 +135,8 @@ def _add(
 
 def _places(
     boxes: NDArray[np.int64], lower: NDArray[np.int64], dataset: str, rows: tuple[int, ...], column: int | None
-) -> Iterator[tuple[Any, Any, virtual.Source]]:
+) -> Iterator[tuple[Any, Any, virtual.RowSource]]:
     cells = cells_of(boxes)
     for box, count, end in zip(boxes, cells.tolist(), np.cumsum(cells).tolist(), strict=True):
         first, size = (box[:3] - lower)[::-1], (box[3:] - box[:3] + 1)[::-1]
-        yield first, size, virtual.Source(dataset, rows, end - count, count, column)
+        yield first, size, virtual.RowSource(dataset, rows, end - count, count, column)

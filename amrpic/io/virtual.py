@@ -11,7 +11,7 @@ import numpy as np
 DOUBLE = np.dtype("<f8")
 
 
-class Source(NamedTuple):
+class RowSource(NamedTuple):
     """Rows of a dataset, all of them or one column of theirs."""
 
     dataset: str  # its path in the file
@@ -22,7 +22,7 @@ class Source(NamedTuple):
 
 
 def show(
-    h5: h5py.File, name: str, shape: tuple[int, ...], mappings: Iterable[tuple[Any, Any, Source]], file: str = "."
+    h5: h5py.File, name: str, shape: tuple[int, ...], mappings: Iterable[tuple[Any, Any, RowSource]], file: str = "."
 ) -> h5py.Dataset:
     """Make a dataset of doubles whose boxes, each (first index, size, source), show rows of a source; the rest is nan.
 

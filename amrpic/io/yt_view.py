@@ -64,7 +64,7 @@ def add(
         cells = cells_of(of_level)
         for size, count, end in zip(_sizes(of_level), cells.tolist(), np.cumsum(cells).tolist(), strict=True):
             for component, (name, column) in sources.items():
-                rows = virtual.Source(paths.format(level, name), shapes[name], end - count, count, column)
+                rows = virtual.RowSource(paths.format(level, name), shapes[name], end - count, count, column)
                 shape = tuple(size[::-1].tolist())
                 virtual.show(h5, f"data/grid_{number:010d}/{component}", shape, [((0, 0, 0), shape, rows)])
             number += 1

@@ -14,7 +14,7 @@ SIGNS = {"dirichlet": -1, "neumann": 1}  # of an image over its charge, by the k
 ON_LATTICE = 1e-6  # of a cell by which a plane may miss the lattice on which it mirrors
 
 
-class Plane(NamedTuple):
+class MirrorPlane(NamedTuple):
     """An infinite plane across an axis."""
 
     place: float  # along the axis, m
@@ -30,11 +30,11 @@ class Mirror:
     """
 
     axis: int = 2
-    lower: Plane | None = None
-    upper: Plane | None = None
+    lower: MirrorPlane | None = None
+    upper: MirrorPlane | None = None
 
     @property
-    def planes(self) -> tuple[Plane | None, Plane | None]:
+    def planes(self) -> tuple[MirrorPlane | None, MirrorPlane | None]:
         return self.lower, self.upper
 
     @property
@@ -47,7 +47,7 @@ class Mirror:
         """Return the mirror of the walls across an axis of a domain that has `moved` so far (m) from them along it."""
         places = domain.lower[axis], domain.upper[axis]
         lower, upper = (
-            Plane(place - moved, kind) if kind in SIGNS else None
+            MirrorPlane(place - moved, kind) if kind in SIGNS else None
             for place, kind in zip(places, domain.boundary[axis], strict=True)
         )
         return cls(axis, lower, upper)
@@ -55,7 +55,7 @@ class Mirror:
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Mirror:
         """Return the mirror of what `dataclasses.asdict` made of it, also after it was JSON."""
-        lower, upper = (None if values[side] is None else Plane(*values[side]) for side in ("lower", "upper"))
+        lower, upper = (None if values[side] is None else MirrorPlane(*values[side]) for side in ("lower", "upper"))
         return cls(values["axis"], lower, upper)
 
     def refusal(self, domain: Domain) -> str | None:

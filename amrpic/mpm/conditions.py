@@ -6,7 +6,7 @@ import numpy as np
 
 from ..fem import Mesh
 from .loads import Loads
-from .material_points import Placed
+from .material_points import PlacedPoints
 from .scene import Scene
 from .state import Plan
 
@@ -36,7 +36,7 @@ def held_by(scene: Scene, mesh: Mesh, loads: Loads) -> tuple[np.ndarray, np.ndar
     return fixed, values
 
 
-def body_force(placed: Placed, plan: Plan, load: float) -> np.ndarray:
+def body_force(placed: PlacedPoints, plan: Plan, load: float) -> np.ndarray:
     """Return the forces of gravity on nodes at a part of the load, (nodes, 3) in N: of points' masses. Collective."""
     points, whole = placed.points, placed.solid.points
     if not any(plan.scene.gravity):

@@ -133,7 +133,7 @@ def _zeros(count: int) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class PlacedPoints:
     """Points in a mesh that has no displacement: the solid that they are, with what fills elements where they are too few."""
 
     points: MaterialPoints
@@ -160,7 +160,7 @@ def placed(
     weights: Weights,
     floor_stiffness: float = 0.0,
     free: ArrayLike = WALLS,
-) -> Placed:
+) -> PlacedPoints:
     """Return points that are sorted by element and id as a solid in a mesh. Collective.
 
     Elements with points of several materials keep volumes as weights: no polynomial follows the jumps of stress there, and
@@ -182,7 +182,7 @@ def placed(
     if filled_elements == 0:
         material, deformation, damage, driving = carried
         solid = Solid(weighed, materials, material, deformation=deformation, damage=damage, driving=driving)
-        return Placed(points, solid, slice(None), weighed)
+        return PlacedPoints(points, solid, slice(None), weighed)
     rule, weak = gauss(mesh), NeoHookean(floor_stiffness, 0.0)
     of_floor = np.isin(rule.element, thin)
     added, no_ids = int(of_floor.sum()), np.full(of_floor.sum(), -1)
@@ -209,7 +209,7 @@ def placed(
     )
     own = (rule.element[of_floor], rule.reference[of_floor], rule.volume[of_floor], no_ids)
     floor = Solid(Points(mesh, *own, weight=rule.weight[of_floor]), weak)
-    return Placed(points, solid, np.argsort(order)[: len(points)], weighed, floor)
+    return PlacedPoints(points, solid, np.argsort(order)[: len(points)], weighed, floor)
 
 
 def _several(element: np.ndarray, material: np.ndarray, count: int) -> np.ndarray:

@@ -13,7 +13,7 @@ from ..units import Column
 from .conditions import body_force, held_by, nodes_of
 from .damage import DamageReport, Settled
 from .loads import Loads
-from .material_points import Placed
+from .material_points import PlacedPoints
 from .scene import Scene
 from .solid import Solid
 from .state import LoadState, Plan
@@ -59,7 +59,7 @@ def degrees(scene: Scene) -> list[str]:
     return ["weights_are_volumes", *(f"weights_exact_to_{m}" for m in range(highest + 1))]
 
 
-def loose_weights(placed: Placed) -> list[str]:
+def loose_weights(placed: PlacedPoints) -> list[str]:
     """Return a sentence if weights of more than `MOST_LOOSE` of the full elements are not exact to their degree. Collective."""
     exact, degree = placed.weighed.exactness(), placed.mesh.degree
     full, loose = (sum(count for m, count in exact.items() if 0 <= m < most) for most in (HIGHEST_DEGREE + 1, degree))
@@ -71,7 +71,7 @@ def loose_weights(placed: Placed) -> list[str]:
     ]
 
 
-def at_rest(placed: Placed, plan: Plan) -> dict[str, float]:
+def at_rest(placed: PlacedPoints, plan: Plan) -> dict[str, float]:
     """Return what points by themselves say. Collective."""
     points, comm = placed.points, plan.comm
     j = points.j

@@ -10,7 +10,7 @@ from mpi4py import MPI
 from ..parallel import own
 from ..run.clock import Clock
 from .loads import Loads
-from .material_points import Placed
+from .material_points import PlacedPoints
 from .materials import Material
 from .scene import Scene
 
@@ -31,7 +31,7 @@ class LoadState:
 
     step: int
     loads: Loads  # how far the load is, and what follows
-    placed: Placed
+    placed: PlacedPoints
     measured: Mapping[str, float]  # what the series says of the step that led here
 
     @property

@@ -7,7 +7,7 @@ from .carry import moved
 from .conditions import body_force, even_motion, held_by
 from .damage import DamageReport, Settled, settle
 from .loads import Loads
-from .material_points import Columns, Placed, migrate, placed, require_inside
+from .material_points import Columns, PlacedPoints, migrate, placed, require_inside
 from .measure import at_rest, measure
 from .sample import mesh_of, sample
 from .state import LoadState, Plan
@@ -41,7 +41,7 @@ def advance(state: LoadState, plan: Plan) -> LoadState:
     return LoadState(state.step + 1, loads.taken(report.most_iterations, report.growth), points_then, measured)
 
 
-def put(columns: Columns, plan: Plan, load: float) -> tuple[Placed, int]:
+def put(columns: Columns, plan: Plan, load: float) -> tuple[PlacedPoints, int]:
     """Return points in the mesh at a part of the load, and how many of this rank came from others. Collective.
 
     Nothing is left in `columns`.

@@ -7,7 +7,7 @@ from typing import Self
 from pydantic import Field, model_validator
 
 from .complaints import complaint
-from .refinement_rules import ChargeDensityRule, Combination, RuleKind, StaticRule, every_rule
+from .refinement_rules import ChargeDensityRule, RuleCombination, RuleKind, StaticRule, every_rule
 from .section import Section
 
 
@@ -105,7 +105,7 @@ class Refinement(Section):
     @property
     def follows(self) -> bool:
         """Whether the mesh can follow the particles: it is refined, and not by static boxes alone."""
-        parts = [rule for _, rule in every_rule(self.rule) if not isinstance(rule, Combination)]
+        parts = [rule for _, rule in every_rule(self.rule) if not isinstance(rule, RuleCombination)]
         return self.levels > 0 and not all(isinstance(rule, StaticRule) for rule in parts)
 
     def regrids_at(self, step: int) -> bool:

@@ -224,7 +224,7 @@ class StaticRule(Section):
     boxes: list[StaticBox] = Field(min_length=1, description="The boxes of all refined levels.")
 
 
-class Combination(Rule):
+class RuleCombination(Rule):
     """A rule made of others."""
 
     of: list[RuleKind] = Field(description="The rules.")
@@ -238,13 +238,13 @@ class Combination(Rule):
         return self
 
 
-class AnyRule(Combination):
+class AnyRule(RuleCombination):
     """Refine the cells that any of the rules tags."""
 
     kind: Literal["any"] = "any"
 
 
-class AllRule(Combination):
+class AllRule(RuleCombination):
     """Refine the cells that all of the rules tag."""
 
     kind: Literal["all"] = "all"
@@ -268,7 +268,7 @@ RuleKind = Annotated[
 def every_rule(rule: RuleKind, path: str = "rule") -> Iterator[tuple[str, RuleKind]]:
     """Yield a rule and all that it is made of, each with its path in the section."""
     yield path, rule
-    if isinstance(rule, Combination):
+    if isinstance(rule, RuleCombination):
         for number, part in enumerate(rule.of):
             yield from every_rule(part, f"{path}.of.{number}")
 

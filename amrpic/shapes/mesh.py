@@ -18,7 +18,7 @@ from .checks import Point
 from .shape import ROUNDING, Columns, Shape
 from .solids import set_fields
 from .spans import Floats, Ints, Spans, swept_ends
-from .triangles import Report, Surface, as_foil, closed, read_stl
+from .triangles import Report, TriangleSurface, as_foil, closed, read_stl
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Mesh(Shape):
             corners = np.array(triangles, float)
             if corners.ndim != 3 or corners.shape[1:] != (3, 3):
                 raise InputError(f"Mesh: its triangles have shape {corners.shape}; give corners as (n, 3, 3), m")
-        surface: Surface = (as_foil if self.foil else closed)(where, corners * UNITS["length"][self.unit])
+        surface: TriangleSurface = (as_foil if self.foil else closed)(where, corners * UNITS["length"][self.unit])
         digest = hashlib.sha256(surface.corners.tobytes() + surface.weight.tobytes()).hexdigest()
         set_fields(
             self, path=path, digest=digest, corners=surface.corners, weight=surface.weight, report=surface.report

@@ -13,7 +13,7 @@ from ..particles.distributions import halo_core
 from ..scene.bunch_shapes import GaussianBunch, HaloBunch, KVBunch, SphereBunch
 from ..scene.bunches import Bunch, LatticeBunch, Train
 from ..scene.scene import Scene
-from .sources import EPS0, Array, Density, GaussianCharge, Sphere, Vector
+from .sources import EPS0, Array, ChargedSphere, Density, GaussianCharge, Vector
 
 ExactField = Callable[[Array, Array, Array], Vector]
 
@@ -40,7 +40,7 @@ class Moved:
 
 
 @dataclass(frozen=True)
-class Cylinder:
+class ChargedCylinder:
     """Constant density across an ellipse of semi-axes 2 sigma in x and y; even in |z| < √3 sigma, or normal along z."""
 
     sigma: tuple[float, float, float]  # m
@@ -120,7 +120,7 @@ def exact_field(scene: Scene, density: Density) -> ExactField | None:
     faces = {kind for pair in scene.domain.boundary.values() for kind in pair}
     if scene.solver.stretch != (1.0, 1.0, 1.0):
         return None
-    if faces == {"open"} and all(isinstance(part, GaussianCharge | Sphere) for part in parts):
+    if faces == {"open"} and all(isinstance(part, GaussianCharge | ChargedSphere) for part in parts):
         return lambda *place: _sum_of_fields(parts, *place)
     if faces == {"periodic"} and scene.background == "neutralizing" and len(parts) == 1:
         (lattice,) = parts
@@ -130,7 +130,7 @@ def exact_field(scene: Scene, density: Density) -> ExactField | None:
 
 
 def _sum_of_fields(parts: tuple[Density, ...], *place: Array) -> Vector:
-    fields = [part.field(*place) for part in parts if isinstance(part, GaussianCharge | Sphere)]
+    fields = [part.field(*place) for part in parts if isinstance(part, GaussianCharge | ChargedSphere)]
     return tuple(sum(field[axis] for field in fields) for axis in range(3))  # type: ignore[return-value]
 
 
@@ -161,9 +161,9 @@ def _train(bunch: Train, number: int, place: tuple[float, float, float]) -> Iter
             for size, share in ((core, 1 - bunch.tail_share), (core * bunch.tail_size, bunch.tail_share)):
                 yield GaussianCharge((size * x, size * y, size * z), place, share * bunch.bunch_charge)
         case SphereBunch():
-            yield Sphere(bunch.radius, place, bunch.bunch_charge)
+            yield ChargedSphere(bunch.radius, place, bunch.bunch_charge)
         case KVBunch():
-            yield Cylinder((x, y, z), place, bunch.bunch_charge, bunch.profile == "gaussian")
+            yield ChargedCylinder((x, y, z), place, bunch.bunch_charge, bunch.profile == "gaussian")
         case _:
             raise _without_formula(bunch, number)
 

@@ -51,7 +51,7 @@ def _radial(centre: Sequence[float], over_radius: Array, *x: Array) -> Vector:
 
 
 @dataclass(frozen=True)
-class Sphere:
+class ChargedSphere:
     """Uniform density in a ball."""
 
     radius: float  # m

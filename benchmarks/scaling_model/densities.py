@@ -20,7 +20,7 @@ from amrpic.pic.quantities import Quantities
 from amrpic.scene.bunch_shapes import GaussianBunch
 from amrpic.scene.bunches import Bunch, LatticeBunch, Train
 from amrpic.scene.motion import RandomWalk
-from amrpic.scene.refinement_rules import ChargeDensityRule, Combination, ParticlesRule, RuleKind
+from amrpic.scene.refinement_rules import ChargeDensityRule, ParticlesRule, RuleCombination, RuleKind
 from amrpic.scene.scene import Scene
 from amrpic.space_charge.tagging_rules import apart, index_boxes, tags_of
 from amrpic.stages.regrid import Regridding, regrid
@@ -218,7 +218,7 @@ def planned_mesh(scene: Scene, clouds: Sequence[Cloud]) -> tuple[Hierarchy, list
 def _without_fields(rule: RuleKind, asked: list[str]) -> RuleKind:
     """Return a rule with charge density in place of all that asks for more; `asked` grows by the kinds of these."""
     match rule:
-        case Combination():
+        case RuleCombination():
             return rule.model_copy(update={"of": [_without_fields(one, asked) for one in rule.of]})
         case ChargeDensityRule() | ParticlesRule():
             return rule

@@ -6,6 +6,8 @@ import pytest
 
 import forecasts
 
+pytestmark = pytest.mark.long  # what is tested is a tool, which users do not meet: for `make verify`
+
 
 def test_a_short_run_is_foreseen_and_taken():
     found = forecasts.compare(forecasts.ROOT / "examples" / "waist.toml", 2, steps=3)

@@ -10,6 +10,8 @@ import plain_particles
 from amrpic.particles.clouds import SHAPES
 from amrpic.units import SPEED_OF_LIGHT
 
+pytestmark = pytest.mark.long  # what is tested is a tool, which users do not meet: for `make verify`
+
 
 def test_every_stage_takes_time():
     for shape in SHAPES:

@@ -12,6 +12,8 @@ import points
 from amrpic import _native, fem
 from measuring import Record
 
+pytestmark = pytest.mark.long  # what is tested is a tool, which users do not meet: for `make verify`
+
 
 def test_nominal_flops_are_those_of_sums_axis_by_axis():
     assert [points.nominal_flops(fem.Poisson, p) for p in (1, 2, 3, 4)] == [136, 360, 752, 1360]

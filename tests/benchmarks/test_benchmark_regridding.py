@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import pytest
+
 import regridding
 from growth import law
+
+pytestmark = pytest.mark.long  # what is tested is a tool, which users do not meet: for `make verify`
 
 
 def test_regrid_and_set_up_grow_with_the_boxes():

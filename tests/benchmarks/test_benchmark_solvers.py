@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import subprocess
 
+import pytest
+
 import mpi_batch
 from measuring import RUNNER
 from solvers import Measured, Table, document
+
+pytestmark = pytest.mark.long  # what is tested is a tool, which users do not meet: for `make verify`
 
 
 def test_quick_run_converges_or_refuses_in_every_row(tmp_path):

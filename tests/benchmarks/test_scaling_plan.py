@@ -50,6 +50,8 @@ from scaling_model.virtual_ranks import (
     without_open_walls,
 )
 
+pytestmark = pytest.mark.long  # what is tested is a tool, which users do not meet: for `make verify`
+
 SCENE: dict[str, Any] = {
     "domain": {"lower": "-20 mm", "upper": "20 mm", "cells": 48, "boundary": "open"},
     "bunches": [

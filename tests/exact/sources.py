@@ -12,7 +12,8 @@ from typing import Protocol
 import numpy as np
 
 from amrpic.units import VACUUM_PERMITTIVITY as EPS0
-from amrpic.verify.sources import Array, Density, Sphere, Vector, fill
+from amrpic.verify.sources import Array, Density, Vector, fill
+from amrpic.verify.sources import ChargedSphere as Sphere
 from amrpic.verify.sources import GaussianCharge as Gaussian
 
 __all__ = ["EPS0", "Gaussian", "Layer", "Plummer", "Product", "Source", "Sphere", "Together", "Wave", "fill"]

@@ -13,7 +13,7 @@ from mpi4py import MPI
 
 import amrpic
 from amrpic.errors import SolverError
-from amrpic.mesh.mirror import Mirror, Plane
+from amrpic.mesh.mirror import Mirror, MirrorPlane
 from amrpic.stages.poisson import PoissonSolver
 from charges_in_motion import EPS0, Ball, C, between, force, mirrored, retarded, total
 
@@ -240,12 +240,12 @@ def test_mirrors_that_cannot_be_are_refused() -> None:
     rho = amrpic.Field(hierarchy).fill(ball(1.0 + 1e-9).density)
     refused = [
         (
-            Mirror(2, Plane(0.25, "dirichlet")),
+            Mirror(2, MirrorPlane(0.25, "dirichlet")),
             r"mirror.lower lies inside the mesh, at z = 0.25 m; put it at the face, 0 m",
         ),
-        (Mirror(2, Plane(-0.01, "dirichlet")), r"mirror.lower lies 0.16 base cells outside the face"),
-        (Mirror(2, upper=Plane(1.01, "neumann")), r"mirror.upper lies 0.16 base cells outside the face"),
-        (Mirror(2, Plane(0.0, "open")), r"mirror.lower is of kind 'open'; use one of dirichlet, neumann"),
+        (Mirror(2, MirrorPlane(-0.01, "dirichlet")), r"mirror.lower lies 0.16 base cells outside the face"),
+        (Mirror(2, upper=MirrorPlane(1.01, "neumann")), r"mirror.upper lies 0.16 base cells outside the face"),
+        (Mirror(2, MirrorPlane(0.0, "open")), r"mirror.lower is of kind 'open'; use one of dirichlet, neumann"),
         (Mirror(3), r"mirror.axis is 3; give that of faces that are not periodic"),
     ]
     for mirror, said in refused:

@@ -19,7 +19,7 @@ from amrpic.scene import solver_options
 from amrpic.scene.scene import Scene
 from amrpic.units import VACUUM_PERMITTIVITY as EPS0
 from amrpic.verify import pareto, write
-from amrpic.verify.described import Cylinder, DisplacedLattice, density_of, exact_field
+from amrpic.verify.described import ChargedCylinder, DisplacedLattice, density_of, exact_field
 from amrpic.verify.table import Goal, Table
 from exact.meshes import MESHES
 from exact.sources import Gaussian, Layer, Plummer, Product, Sphere, Together, Wave
@@ -222,7 +222,7 @@ def test_field_of_shifted_sheets_obeys_gauss():
 
 def test_cylinder_holds_its_charge_whatever_the_cells():
     for normal in (False, True):
-        cylinder = Cylinder((0.04, 0.06, 0.1), (0.5, 0.45, 0.5), 3.0, normal)
+        cylinder = ChargedCylinder((0.04, 0.06, 0.1), (0.5, 0.45, 0.5), 3.0, normal)
         edges = [np.linspace(-1, 2, 301)] * 3
         density = cylinder.mean(*edges)
         assert density.sum() * 1e-6 == pytest.approx(3.0, rel=1e-4)

@@ -54,7 +54,7 @@ class Report(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class TriangleSurface:
     """Triangles that close a body, the same whatever their order in a file was."""
 
     corners: Floats  # (n, 3, 3) m, counter-clockwise seen from outside
@@ -116,7 +116,7 @@ def is_number(word: bytes) -> bool:
     return True
 
 
-def closed(where: str, corners: Floats) -> Surface:
+def closed(where: str, corners: Floats) -> TriangleSurface:
     """Return a closed surface of triangles (n, 3, 3), repaired; holes are filled. Raises InputError."""
     if not len(corners):
         raise InputError(f"{where} has no triangles; export it again, with its surface")
@@ -153,10 +153,10 @@ def closed(where: str, corners: Floats) -> Surface:
         raise InputError(
             f"{where}: its triangles enclose no volume; close the surface, or give it as a foil (foil=True)"
         )
-    return Surface(sides, weights, report)
+    return TriangleSurface(sides, weights, report)
 
 
-def as_foil(where: str, corners: Floats) -> Surface:
+def as_foil(where: str, corners: Floats) -> TriangleSurface:
     """Return triangles (n, 3, 3) as they are, for a foil. Raises InputError."""
     if not len(corners) or not np.isfinite(corners).all():
         closed(where, corners)
@@ -164,7 +164,7 @@ def as_foil(where: str, corners: Floats) -> Surface:
     sides = points[canonical(without_duplicates(triangles)[0])]
     area = float(np.linalg.norm(np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0]), axis=1).sum() / 2)
     report = Report(len(corners), 0, len(corners) - len(sides), 0, 0, 0, 0.0, area)
-    return Surface(sides, np.ones(len(sides), np.int32), report)
+    return TriangleSurface(sides, np.ones(len(sides), np.int32), report)
 
 
 def welded(corners: Floats) -> tuple[Floats, Ints]:

@@ -195,7 +195,9 @@ def plates(low, high, boundary="dirichlet"):
 
 
 LIMITS = {
-    "a surface at 1e-12 of an arm from centres": [Electrode("e", shapes.Box((-0.3,) * 3, (0.5 * H + 1e-12 * H, 0.4, 0.4)), voltage=1)],
+    "a surface at 1e-12 of an arm from centres": [
+        Electrode("e", shapes.Box((-0.3,) * 3, (0.5 * H + 1e-12 * H, 0.4, 0.4)), voltage=1)
+    ],
     "a surface at 1e-8 of an arm from centres": [
         Electrode("e", shapes.Box((-0.3 - 0.3 * H,) * 3, ((0.5 - 1e-8) * H, 0.4, 0.4)), voltage=1)
     ],
@@ -225,7 +227,9 @@ LIMITS = {
 def test_bodies_at_the_limits_are_solved_as_by_a_direct_solve(name, boundary):
     n = 16
     body = [
-        Electrode(e.name, e.shape.scaled(2), voltage=e.voltage) if "between" in name or "cell" in name or "arm" in name else e
+        Electrode(e.name, e.shape.scaled(2), voltage=e.voltage)
+        if "between" in name or "cell" in name or "arm" in name
+        else e
         for e in LIMITS[name]
     ]
     mesh = hierarchy(n, boundary)

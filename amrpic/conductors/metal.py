@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from .. import _native
-from ..errors import InputError
+from ..errors import SolverError
 from ..mesh.domain import Domain
 from ..scene.electrodes import Electrode
 from .arms import Contact, arms_of_boxes, sentence
@@ -29,10 +29,10 @@ class MetalOnMesh:
         return _native.Metal(len(self._electrodes), self._domain.cells, spacing.tolist(), self._ask)
 
     def finish(self) -> None:
-        """Forget what was asked. Raise InputError, if electrodes of different voltages touch where this rank has. Local."""
+        """Forget what was asked. Raise SolverError, if electrodes of different voltages touch where this rank has. Local."""
         self._answers.clear()
         if self._contacts:
-            raise InputError(sentence(self._electrodes, self._contacts[0]))
+            raise SolverError(sentence(self._electrodes, self._contacts[0]))
 
     def _ask(self, lower: Sequence[int], shape: Sequence[int], spacing: Sequence[float]) -> Answer:
         """Return solid cells and their electrodes, cut cells, their arms and the electrodes that cut these."""

@@ -55,8 +55,8 @@ void Coarsening::restrict_rows() {
         ParentRow const& of = on.parent_rows(n);
         Block const& block = on.blocks(of.block);
         matrixfree::restrict_to<of_residual, true>(on.taking(of.block), of.y, of.z, level, level.rows + block.first_row,
-                                             block.ny, block.nz, weight, level.composed_rows(), r.data(), e.data(),
-                                             out.data(), worker);
+                                                   block.ny, block.nz, weight, level.composed_rows(), r.data(),
+                                                   e.data(), out.data(), worker);
       });
 }
 

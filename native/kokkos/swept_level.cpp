@@ -70,7 +70,7 @@ void SweptLevel::half_sweep(Part const& rows, matrixfree::HalfSweep const& half,
             matrixfree::relax_from_zero<lanes(), true>(level, row, colour, r.data(), e.data(), worker);
           else
             matrixfree::relax<lanes(), isotropic(), true>(level, row, colour, level.composed_rows(), r.data(), e.data(),
-                                                    worker);
+                                                          worker);
         });
       });
 }
@@ -121,8 +121,8 @@ std::size_t SweptLevel::bytes() const {
   return rows_.extent(0) * sizeof(matrixfree::Row) + own_rows_.extent(0) * sizeof(RowPlace) +
          runs_.extent(0) * sizeof(matrixfree::ScaledRun) + metal_rows_.extent(0) * sizeof(matrixfree::MetalRow) +
          cuts_.extent(0) * sizeof(matrixfree::CutPlace) + solids_.extent(0) * sizeof(matrixfree::SolidRun) +
-         (cut_values_.extent(0) + composed_.extent(0) + coefficients_.extent(0)) * sizeof(float) + halo_.bytes() + edge_halo_.bytes() +
-         halo_of_colour_[0].bytes() + halo_of_colour_[1].bytes();
+         (cut_values_.extent(0) + composed_.extent(0) + coefficients_.extent(0)) * sizeof(float) + halo_.bytes() +
+         edge_halo_.bytes() + halo_of_colour_[0].bytes() + halo_of_colour_[1].bytes();
 }
 
 }  // namespace amrpic::kokkos

@@ -34,8 +34,8 @@ class CompositeField {
 
   CompositeMesh& mesh_;
   CompositeGhosts& ghosts_;
-  std::vector<Real> planes_;  ///< of three components, of a pair of planes of cells
-  std::vector<Real> rows_;    ///< of means of these
+  std::vector<Real> planes_;                         ///< of three components, of a pair of planes of cells
+  std::vector<Real> rows_;                           ///< of means of these
   std::vector<std::unique_ptr<BoxRegions>> around_;  ///< of each level, beside metal; none until first used
 };
 

@@ -164,8 +164,7 @@ Real CompositeGhosts::value_beyond(int l, int b, Index3 const& cell, int side, R
 }
 
 /// The datum of the wall beyond a side of a cell, which lies at one.
-Real CompositeGhosts::wall_datum(int l, int b, Index3 const& cell, int side,
-                                     std::vector<Walls> const& walls) const {
+Real CompositeGhosts::wall_datum(int l, int b, Index3 const& cell, int side, std::vector<Walls> const& walls) const {
   Box const& own = mesh_.box(l, b);
   auto const [u, v] = tangential_axes(side / 2);
   std::ptrdiff_t const place = (cell[u] - own.lower[u]) + std::ptrdiff_t(own.extent(u)) * (cell[v] - own.lower[v]);

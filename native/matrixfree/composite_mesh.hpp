@@ -36,7 +36,8 @@ enum class FullyCovered { visit, skip };  ///< boxes without uncovered cells
 class CompositeMesh {
  public:
   /// See CompositeLaplacian. Collective.
-  CompositeMesh(std::shared_ptr<Hierarchy const> hierarchy, Real shift, Real3 const& stretch, Metal const* metal = nullptr);
+  CompositeMesh(std::shared_ptr<Hierarchy const> hierarchy, Real shift, Real3 const& stretch,
+                Metal const* metal = nullptr);
 
   Hierarchy const& hierarchy() const { return *hierarchy_; }
   Communicator const& comm() const { return hierarchy_->comm(); }
@@ -73,7 +74,9 @@ class CompositeMesh {
     }
   }
   Equation equation(int l) const { return equation_on(level(l).spacing(), shift_); }
-  bool is_nearly_free(int l) const { return !metal_ && amrpic::is_nearly_free(level(l), hierarchy_->domain().boundary, shift_); }
+  bool is_nearly_free(int l) const {
+    return !metal_ && amrpic::is_nearly_free(level(l), hierarchy_->domain().boundary, shift_);
+  }
   Real shift() const { return shift_; }
   Real volume(int l) const { return level(l).cell_volume() / (stretch_[0] * stretch_[1] * stretch_[2]); }
   Real factor_of_field(int l, int axis) const { return field_factor(level(l).spacing()[axis]) / stretch_[axis]; }

@@ -79,9 +79,10 @@ void SecondOrderResidual::residual_beside_metal(int l, int b, int k, Source cons
       [&](CutCell const& cut, CutRow const& row, std::ptrdiff_t at) {
         Real sum = -row.diagonal * c[at];
         for (std::size_t side = 0; side < 6; ++side)
-          if (row.neighbour[side] != 0) sum += row.neighbour[side] * ghosts_.value_beyond(l, b, cut.cell, int(side), cells);
-        plane_[std::size_t(at)] = row.scale * source.background.right_hand_side(rho[at]) - sum -
-                                  of_surfaces(l, b, cut, row, source);
+          if (row.neighbour[side] != 0)
+            sum += row.neighbour[side] * ghosts_.value_beyond(l, b, cut.cell, int(side), cells);
+        plane_[std::size_t(at)] =
+            row.scale * source.background.right_hand_side(rho[at]) - sum - of_surfaces(l, b, cut, row, source);
       },
       [&](std::ptrdiff_t at, int) { plane_[std::size_t(at)] = 0; });
 }
@@ -91,7 +92,8 @@ void SecondOrderResidual::right_hand_side_beside_metal(int l, int b, int k, Sour
   mesh_.for_each_in_metal(
       l, b, k,
       [&](CutCell const& cut, CutRow const& row, std::ptrdiff_t at) {
-        plane_[std::size_t(at)] = row.scale * source.background.right_hand_side(rho[at]) - of_data(l, b, cut, row, source);
+        plane_[std::size_t(at)] =
+            row.scale * source.background.right_hand_side(rho[at]) - of_data(l, b, cut, row, source);
       },
       [&](std::ptrdiff_t at, int) { plane_[std::size_t(at)] = 0; });
 }
@@ -237,7 +239,9 @@ void SecondOrderResidual::diagonal_plane(int l, int b, int k, Field const& phi) 
   }
   mesh_.for_each_in_metal(
       l, b, k,
-      [&](CutCell const&, CutRow const& row, std::ptrdiff_t at) { plane_[std::size_t(at)] = -row.diagonal * cells[at]; },
+      [&](CutCell const&, CutRow const& row, std::ptrdiff_t at) {
+        plane_[std::size_t(at)] = -row.diagonal * cells[at];
+      },
       [&](std::ptrdiff_t at, int) { plane_[std::size_t(at)] = 0; });
   mesh_.clear_covered(l, b, k, plane_.data());
 }

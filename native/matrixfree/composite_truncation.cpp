@@ -176,8 +176,8 @@ Real composite_truncation(CompositeMesh& mesh, Source const& source, Field const
       Box const& region = rho.region(std::size_t(b));  // of the box and of the cells around it that prolongation reads
       auto const charge = rho.values(std::size_t(b), charges.data(), charge_halo);
       auto const potential = phi_near.values(std::size_t(b), coarse_phi, phi_halo);
-      auto const usable =
-          usable_parents(level, mesh.hierarchy().has_finer(l) ? &mesh.level(l + 1) : nullptr, ratio, parents, metal, region);
+      auto const usable = usable_parents(level, mesh.hierarchy().has_finer(l) ? &mesh.level(l + 1) : nullptr, ratio,
+                                         parents, metal, region);
       ArrayOnBox<Real> error(region, 0.0);
       for_each_row(region, [&](Index3 const& first) {
         estimate_row(region.extent(0), coarse, &potential(first), potential.box(), &charge(first), source.background,

@@ -3,7 +3,8 @@
 #include <cmath>
 #include <stdexcept>
 
-extern "C" void dgetrf_(int const* rows, int const* columns, double* matrix, int const* leading, int* pivots, int* info);
+extern "C" void dgetrf_(int const* rows, int const* columns, double* matrix, int const* leading, int* pivots,
+                        int* info);
 extern "C" void dgetrs_(char const* transposed, int const* n, int const* sides, double const* factors,
                         int const* leading, int const* pivots, double* sides_and_solutions, int const* leading_of_sides,
                         int* info);

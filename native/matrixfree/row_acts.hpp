@@ -31,7 +31,8 @@ KOKKOS_INLINE_FUNCTION void for_each_cut(RowTable const& level, Row const& row, 
 
 /// Set what metal makes zero in a row of values.
 template <class Worker>
-[[gnu::noinline]] KOKKOS_INLINE_FUNCTION void clear_solid(RowTable const& level, Row const& row, float* values, Worker const& worker) {
+[[gnu::noinline]] KOKKOS_INLINE_FUNCTION void clear_solid(RowTable const& level, Row const& row, float* values,
+                                                          Worker const& worker) {
   if (!level.has_metal(row)) return;
   MetalRow const& metal = level.metal(row);
   for (int n = 0; n < metal.solids; ++n) {
@@ -63,9 +64,8 @@ template <class Worker>
                                                                   float const* right, float* here,
                                                                   Worker const& worker) {
   worker.barrier();
-  for_each_cut(level, row, parity, worker, [&](CutPlace const& cut, int) {
-    here[cut.place] = relaxed_from_zero(cut.step, right[cut.place]);
-  });
+  for_each_cut(level, row, parity, worker,
+               [&](CutPlace const& cut, int) { here[cut.place] = relaxed_from_zero(cut.step, right[cut.place]); });
 }
 
 /// One colour of a row relaxed, as if there were no metal.
@@ -149,8 +149,8 @@ struct ChildRow {
 };
 
 /// Residuals of some cells of a row, set as if there were no metal: those of cut and solid cells.
-[[gnu::noinline]] inline void residuals_beside_metal(RowTable const& level, Row const& row, CorrectionRow const& at, float const* r,
-                                   int first, int count, float* left) {
+[[gnu::noinline]] inline void residuals_beside_metal(RowTable const& level, Row const& row, CorrectionRow const& at,
+                                                     float const* r, int first, int count, float* left) {
   MetalRow const& metal = level.metal(row);
   for (int n = metal.first_cut; n < metal.first_cut + metal.cuts[0] + metal.cuts[1]; ++n) {
     CutPlace const& cut = level.cuts[n];
@@ -159,7 +159,8 @@ struct ChildRow {
   }
   for (int n = metal.first_solid; n < metal.first_solid + metal.solids; ++n) {
     SolidRun const run = level.solids[n];
-    for (int i = std::max(first, run.place); i < std::min(first + count, run.place + run.count); ++i) left[i - first] = 0;
+    for (int i = std::max(first, run.place); i < std::min(first + count, run.place + run.count); ++i)
+      left[i - first] = 0;
   }
 }
 
@@ -207,8 +208,9 @@ KOKKOS_INLINE_FUNCTION void restrict_to(Parents const& parents, int y, int z, Ro
       return with_kind(rows->lanes, level.isotropic, [&](auto lanes, auto isotropic) {
         for_each_child_row([&](Row const& row, float of_row) {
           if constexpr (of_residual)
-            restrict_residuals<lanes(), isotropic(), with_metal>(level, row, level.template correction<lanes()>(row, e, composed),
-                                                     r + row.place, parents, of_row, set, to);
+            restrict_residuals<lanes(), isotropic(), with_metal>(level, row,
+                                                                 level.template correction<lanes()>(row, e, composed),
+                                                                 r + row.place, parents, of_row, set, to);
           else
             restrict_row<lanes()>(r + row.place, parents.over_ratio(0, row.cells), parents.ratio[0], of_row, set, to);
         });

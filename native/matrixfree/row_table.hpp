@@ -70,8 +70,8 @@ struct RowTable {
   MetalRow const* metal_rows;
   CutPlace const* cuts;
   SolidRun const* solids;
-  float* cut_values;              ///< room for a value of each cut cell
-  std::array<float, 3> weight;    ///< h² / h_d²
+  float* cut_values;            ///< room for a value of each cut cell
+  std::array<float, 3> weight;  ///< h² / h_d²
   bool isotropic;
   float keep;  ///< 1 - relaxation
   /// Whether residuals are taken of differences between neighbours, see `is_nearly_free`: the sum over neighbours less
@@ -130,7 +130,8 @@ struct RowTable {
   }
   /// The weighted sum over the neighbours of a cell.
   KOKKOS_INLINE_FUNCTION float sum(Row const& row, CorrectionRow const& at, int i) const {
-    return weighted_sum(weight, before(row, at, i) + after(row, at, i), at.beside[0][i] + at.beside[1][i], at.beside[2][i] + at.beside[3][i]);
+    return weighted_sum(weight, before(row, at, i) + after(row, at, i), at.beside[0][i] + at.beside[1][i],
+                        at.beside[2][i] + at.beside[3][i]);
   }
 };
 

@@ -20,7 +20,7 @@ namespace amrpic {
 struct Problem {
   std::shared_ptr<Hierarchy const> hierarchy;  ///< in stretched coordinates
   SolverOptions const& options;
-  std::vector<Walls> const& walls;  ///< of each level, with their data
+  std::vector<Walls> const& walls;               ///< of each level, with their data
   std::shared_ptr<Metal const> metal = nullptr;  ///< null if there are no electrodes
   std::vector<Real> const& potentials;           ///< of these, V
 };

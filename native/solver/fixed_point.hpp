@@ -8,14 +8,14 @@
 
 namespace amrpic {
 
-/// x = g(x) for a function that is nearly linear, by the latest few values of it (Anderson, J. ACM 12, 547, 1965): where
-/// x -> g(x) by itself diverges along a few directions, these are found and taken out.
+/// x = g(x) for a function that is nearly linear, by the latest few values of it (Anderson, J. ACM 12, 547, 1965):
+/// where x -> g(x) by itself diverges along a few directions, these are found and taken out.
 class FixedPoint {
  public:
   void clear() { kept_.clear(), argument_.clear(), change_.clear(); }
 
-  /// What to try next after g(x) = `value`; returns the 2-norm of g(x) - x over that of g(x). Vectors are shared out over
-  /// ranks. Collective.
+  /// What to try next after g(x) = `value`; returns the 2-norm of g(x) - x over that of g(x). Vectors are shared out
+  /// over ranks. Collective.
   Real next(std::vector<Real>& x, std::vector<Real> const& value, Communicator const& comm) {
     std::vector<Real> change = value;
     add(-1, x, change);

@@ -61,17 +61,17 @@ void require_room_around(Metal const& metal, Hierarchy const& hierarchy, Real3 c
     Level const& level = hierarchy.level(l);
     Level const* const finer = hierarchy.has_finer(l) ? &hierarchy.level(l + 1) : nullptr;
     MetalCells const cells = metal.own_cells(level);
-    GlobalIndex const open = hierarchy.comm().smallest(
-        first_refused(cells.cut(), cells.solid(), level,
-                      [&](Index3 const& cell) { return is_at_open_face(hierarchy, level, cell); }));
+    GlobalIndex const open =
+        hierarchy.comm().smallest(first_refused(cells.cut(), cells.solid(), level, [&](Index3 const& cell) {
+          return is_at_open_face(hierarchy, level, cell);
+        }));
     if (open != std::numeric_limits<GlobalIndex>::max())
       throw SolverError("an electrode meets an open face of the domain at " +
                         place_of(hierarchy, level, open, stretch) +
                         "; leave room between them, or give that face a potential");
     bool const may_meet = finer || l > 0;
-    GlobalIndex const edge = hierarchy.comm().smallest(
-        first_refused(cells.cut(), {}, level,
-                      [&](Index3 const& cell) { return may_meet && meets_other_level(level, finer, cell); }));
+    GlobalIndex const edge = hierarchy.comm().smallest(first_refused(
+        cells.cut(), {}, level, [&](Index3 const& cell) { return may_meet && meets_other_level(level, finer, cell); }));
     if (edge != std::numeric_limits<GlobalIndex>::max())
       throw SolverError("the surface of an electrode comes within " + std::to_string(room) +
                         " cells of a face between levels " + std::to_string(l) + " and another at " +

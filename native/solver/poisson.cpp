@@ -289,7 +289,8 @@ void PoissonSolver::iterate(SolveReport& report, Field& phi, bool from_zero, Rea
   else
     report.mesh_error = {};
   backend_->start(phi, from_zero);
-  constexpr int updates = 2;  // cycles after which open faces see the charge that these left on electrodes; one is too few
+  constexpr int updates =
+      2;  // cycles after which open faces see the charge that these left on electrodes; one is too few
   constexpr Real hopeless = 1e10;  // residual of a guess that is of another order of magnitude than the answer
   // Cycles in a row that hardly moved the residual; since it was last well below all before; and that lowest one.
   int stuck = 0, since_lowest = 0;
@@ -336,7 +337,8 @@ void PoissonSolver::iterate(SolveReport& report, Field& phi, bool from_zero, Rea
     if (report.cycles == options_.max_cycles)
       return finish(false, "no convergence in " + std::to_string(options_.max_cycles) + " cycles");
     backend_->improve();
-    if (sees_metal() && report.cycles % updates == updates - 1) stopwatch_.time("open boundary", [&] { update_induced_charge(phi); });
+    if (sees_metal() && report.cycles % updates == updates - 1)
+      stopwatch_.time("open boundary", [&] { update_induced_charge(phi); });
     if (options_.to_discretisation) {
       correction_before_ = report.cycles > 0 ? latest_correction_ : std::numeric_limits<Real>::infinity();
       latest_correction_ = backend_->largest_correction();
@@ -401,7 +403,8 @@ SolveReport PoissonSolver::solve(Field const& rho, Field& phi, bool from_zero, M
   if (images) nothing.emplace(rho.share_hierarchy());
   backend_->set_right_hand_side(images ? *nothing : rho);
   Removed removed{0, 0};
-  bool const leaves_mean = !metal_ && is_mean_left_free(hierarchy_->level(0), hierarchy_->domain().boundary, shift_of(options_));
+  bool const leaves_mean =
+      !metal_ && is_mean_left_free(hierarchy_->level(0), hierarchy_->domain().boundary, shift_of(options_));
   if (leaves_mean) {
     removed = remove_net_charge(rho, deposited);
     if (!from_zero && options_.screening > 0) set_mean(phi, 0);

@@ -11,7 +11,6 @@ from mpi4py import MPI
 import amrpic
 from amrpic.errors import InputError, SolverError
 from amrpic.particles.frame import LABORATORY
-from amrpic.pic.restart import _frames
 from amrpic.units import ELECTRON_MASS, SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
 from exact.sources import Gaussian
 from verify import moving_charges
@@ -205,15 +204,6 @@ def test_a_beam_that_is_slow_and_moves_towards_walls_is_solved_for_in_the_labora
     simulation = run(slow, boundary=boundary)
     found = simulation.state.solution.frames
     assert found.only == LABORATORY and found.error == pytest.approx(0.0025, rel=0.05) and not simulation.remarks
-
-
-def test_bins_of_an_older_checkpoint_lie_where_they_did():
-    """Between the same momenta: values of ±ln γ become rapidities."""
-    members = [{"axis": 2, "momentum": u} for u in (-3.0, 2.0, 5.0)]
-    edges = [float(np.copysign(np.log(np.hypot(1, u)), u)) for u in (-1.0, 3.0)]
-    found = _frames({"frames": {"members": members, "axis": 2, "edges": edges}})
-    assert np.sinh(found.edges) == pytest.approx([-1.0, 3.0], rel=1e-12)
-    assert [part[0].bin for part in found.of] == [0, 1, 2] and found.members[2].momentum == 5.0
 
 
 # ---- charge that cancels ----

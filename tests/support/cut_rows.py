@@ -1,3 +1,4 @@
+# mypy: disable-error-code="arg-type, call-overload, misc"
 """An independent oracle for conductors: the equations of one level, written from what they say, and solved directly.
 
 Along each axis the potential of a cell lies on a parabola through its own value and those at the ends of its two arms, which

@@ -1,3 +1,4 @@
+# mypy: disable-error-code="arg-type"
 """Random bodies, electrodes and domains with them, drawn by a seed."""
 
 from __future__ import annotations

@@ -61,7 +61,8 @@ def test_an_even_ellipsoid_has_its_exact_field_inside(long):
     axes, number = 1e-3 * np.array([1.0, 1.5, 2.0]), 2**20 if long else 2**17
     places = quiet_ellipsoid(number, axes)
     inside = np.flatnonzero(((places / axes) ** 2).sum(axis=1) < 0.75**2)[:: number // 4000]
-    found = made(levels=1, **QUIET).field(*places.T, CHARGE / number)
+    finer = {"levels": 1} if long else {}  # fewer particles make more noise there than the mesh errs
+    found = made(**finer, **QUIET).field(*places.T, CHARGE / number)
     assert rms_error(found[inside], ellipsoid_field(places[inside], axes, CHARGE)) < (1e-3 if long else 4e-3)
 
 

@@ -44,9 +44,7 @@ class SolveReport:
     contraction: float = 0.0  # the latest known: largest change of φ by a second cycle over that by the first
     right_hand_side: float = 0.0  # its norm when the error was estimated
     solves_since: int = 0  # that estimate
-    charges: Mapping[str, float] = field(
-        default_factory=dict
-    )  # on each electrode by name, C; ρ in its cells is imaged there
+    charges: Mapping[str, float] = field(default_factory=dict)  # on each electrode, C; ρ in its cells is imaged there
     voltages: Mapping[str, float] = field(default_factory=dict)  # of each electrode, V; found of those that float
 
     @property

@@ -55,7 +55,7 @@ NO_FLUID = "the direct solve beside it knows no mesh whose fluid cells are none 
 
 
 def missed(name, reason):
-    return pytest.param(name, marks=pytest.mark.xfail(reason=reason))
+    return pytest.param(name, marks=pytest.mark.xfail(reason=reason, strict=True))
 
 
 BODIES = {

@@ -44,7 +44,9 @@ class SolveReport:
     contraction: float = 0.0  # the latest known: largest change of φ by a second cycle over that by the first
     right_hand_side: float = 0.0  # its norm when the error was estimated
     solves_since: int = 0  # that estimate
-    charges: Mapping[str, float] = field(default_factory=dict)  # on each electrode by name, C; ρ in its cells is imaged there
+    charges: Mapping[str, float] = field(
+        default_factory=dict
+    )  # on each electrode by name, C; ρ in its cells is imaged there
     voltages: Mapping[str, float] = field(default_factory=dict)  # of each electrode, V; found of those that float
 
     @property
@@ -160,8 +162,8 @@ class PoissonSolver:
     def _require_arms_at_electrodes(self) -> None:
         """Refuse electrodes that no cell sees. Collective."""
         self.native.set_potentials([1.0] * len(self.electrodes))
-        nothing = Field(self.hierarchy).native  # φ is zero in all cells: each cut arm adds to charges
-        charges = self.native.charges(nothing, nothing)
+        # with φ = 0 and ρ < 0 each arm that is cut and each cell in metal adds to the charge
+        charges = self.native.charges(Field(self.hierarchy).native, Field(self.hierarchy).fill(-1.0).native)
         for electrode, charge in zip(self.electrodes, charges, strict=True):
             if charge == 0:
                 raise SolverError(

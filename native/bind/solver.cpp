@@ -1,7 +1,7 @@
+#include <nanobind/ndarray.h>
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/map.h>
 #include <nanobind/stl/shared_ptr.h>
-#include <nanobind/ndarray.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
@@ -122,36 +122,38 @@ void bind_solver(nb::module_& m) {
   using Owners = nb::ndarray<std::int32_t const, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
   using Arms = nb::ndarray<Real const, nb::shape<-1, 6>, nb::c_contig, nb::device::cpu>;
   using Surfaces = nb::ndarray<std::int32_t const, nb::shape<-1, 6>, nb::c_contig, nb::device::cpu>;
-  nb::class_<Metal>(m, "Metal").def(
-      "__init__",
-      [](Metal* self, int electrodes, std::array<int, 3> const& cells, std::array<Real, 3> const& spacing,
-         nb::callable ask) {
-        // ask(lower, shape, spacing): solid cells and their electrodes, cut cells, their arms and electrodes
-        Index3 const base{cells[0], cells[1], cells[2]};
-        Real3 const widths{spacing[0], spacing[1], spacing[2]};
-        new (self) Metal(electrodes, base, widths, [ask](Box const& region, Real3 const& spacing) {
-          nb::gil_scoped_acquire held;
-          std::array<int, 3> const lower{region.lower[0], region.lower[1], region.lower[2]};
-          std::array<int, 3> const shape{region.extent(0), region.extent(1), region.extent(2)};
-          auto const [solid, owner, cut, arm, electrode] = nb::cast<std::tuple<Cells, Owners, Cells, Arms, Surfaces>>(
-              ask(lower, shape, std::array<Real, 3>{spacing[0], spacing[1], spacing[2]}));
-          auto const cell = [&](std::int64_t at) {
-            return Index3{lower[0] + int(at % shape[0]), lower[1] + int(at / shape[0] % shape[1]),
-                          lower[2] + int(at / shape[0] / shape[1])};
-          };
-          std::vector<SolidCell> solids;
-          for (std::size_t n = 0; n < solid.shape(0); ++n) solids.push_back({cell(solid(n)), owner(n)});
-          std::vector<CutCell> cuts;
-          for (std::size_t n = 0; n < cut.shape(0); ++n) {
-            CutCell& to = cuts.emplace_back();
-            to.cell = cell(cut(n));
-            for (std::size_t side = 0; side < 6; ++side)
-              to.arm[side] = arm(n, side), to.electrode[side] = electrode(n, side);
-          }
-          return MetalCells(std::move(cuts), std::move(solids));
-        });
-      },
-      "electrodes"_a, "cells"_a, "spacing"_a, "ask"_a);
+  nb::class_<Metal>(m, "Metal")
+      .def(
+          "__init__",
+          [](Metal* self, int electrodes, std::array<int, 3> const& cells, std::array<Real, 3> const& spacing,
+             nb::callable ask) {
+            // ask(lower, shape, spacing): solid cells and their electrodes, cut cells, their arms and electrodes
+            Index3 const base{cells[0], cells[1], cells[2]};
+            Real3 const widths{spacing[0], spacing[1], spacing[2]};
+            new (self) Metal(electrodes, base, widths, [ask](Box const& region, Real3 const& spacing) {
+              nb::gil_scoped_acquire held;
+              std::array<int, 3> const lower{region.lower[0], region.lower[1], region.lower[2]};
+              std::array<int, 3> const shape{region.extent(0), region.extent(1), region.extent(2)};
+              auto const [solid, owner, cut, arm, electrode] =
+                  nb::cast<std::tuple<Cells, Owners, Cells, Arms, Surfaces>>(
+                      ask(lower, shape, std::array<Real, 3>{spacing[0], spacing[1], spacing[2]}));
+              auto const cell = [&](std::int64_t at) {
+                return Index3{lower[0] + int(at % shape[0]), lower[1] + int(at / shape[0] % shape[1]),
+                              lower[2] + int(at / shape[0] / shape[1])};
+              };
+              std::vector<SolidCell> solids;
+              for (std::size_t n = 0; n < solid.shape(0); ++n) solids.push_back({cell(solid(n)), owner(n)});
+              std::vector<CutCell> cuts;
+              for (std::size_t n = 0; n < cut.shape(0); ++n) {
+                CutCell& to = cuts.emplace_back();
+                to.cell = cell(cut(n));
+                for (std::size_t side = 0; side < 6; ++side)
+                  to.arm[side] = arm(n, side), to.electrode[side] = electrode(n, side);
+              }
+              return MetalCells(std::move(cuts), std::move(solids));
+            });
+          },
+          "electrodes"_a, "cells"_a, "spacing"_a, "ask"_a);
   nb::class_<PoissonSolver>(m, "PoissonSolver")
       .def(
           "__init__",

@@ -26,8 +26,8 @@ bool comes_before(Index3 const& a, Index3 const& b) {
 
 /// On a level coarser than the base: add the cells whose arms miss metal that arms of the base meet there. Corrections
 /// that did not know of it, such as of a grid of wires, would overshoot without bound. Its hold is that of a potential
-/// that is constant in each coarse cell: the mean over the cells of the base of what metal adds to their diagonals, each
-/// arm that it cuts as if it ended at a centre.
+/// that is constant in each coarse cell: the mean over the cells of the base of what metal adds to their diagonals,
+/// each arm that it cuts as if it ended at a centre.
 void Metal::add_thin(Level const& level, Box const& region, MetalCells& cells) const {
   Index3 ratio;
   Real3 spacing, weight;
@@ -42,7 +42,8 @@ void Metal::add_thin(Level const& level, Box const& region, MetalCells& cells) c
   if (children == 1) return;
   Box fine;
   for (int d = 0; d < 3; ++d)
-    fine.lower[d] = region.lower[d] * ratio[d], fine.upper[d] = std::min((region.upper[d] + 1) * ratio[d] - 1, base_.upper[d]);
+    fine.lower[d] = region.lower[d] * ratio[d],
+    fine.upper[d] = std::min((region.upper[d] + 1) * ratio[d] - 1, base_.upper[d]);
   MetalCells const of_base = ask_(fine, spacing);
   std::vector<Real> hold(std::size_t(region.cells()), 0.0);
   auto const at = [&](Index3 const& child) -> Real& {
@@ -89,7 +90,8 @@ MetalCells Metal::cells(Level const& level, std::vector<Box> const& boxes) const
 }
 
 MetalCells Metal::own_cells(Level const& level) const {
-  return cells(level, {level.boxes().begin() + level.first_local_box(), level.boxes().begin() + level.last_local_box()});
+  return cells(level,
+               {level.boxes().begin() + level.first_local_box(), level.boxes().begin() + level.last_local_box()});
 }
 
 }  // namespace amrpic

@@ -60,7 +60,8 @@ class MetalCells {
       return std::array{a.cell[2], a.cell[1], a.cell[0]} < std::array{b[2], b[1], b[0]};
     };
     auto at = std::lower_bound(cells.begin(), cells.end(), first, before);
-    for (; at != cells.end() && at->cell[2] == first[2] && at->cell[1] == first[1] && at->cell[0] < first[0] + count; ++at)
+    for (; at != cells.end() && at->cell[2] == first[2] && at->cell[1] == first[1] && at->cell[0] < first[0] + count;
+         ++at)
       f(*at);
   }
 
@@ -76,7 +77,10 @@ class Metal {
   using Ask = std::function<MetalCells(Box const&, Real3 const&)>;
   /// `base`, `spacing`: the cells of the base level.
   Metal(int electrodes, Index3 const& base, Real3 const& spacing, Ask ask)
-      : electrodes_(electrodes), base_{{0, 0, 0}, {base[0] - 1, base[1] - 1, base[2] - 1}}, spacing_(spacing), ask_(std::move(ask)) {}
+      : electrodes_(electrodes),
+        base_{{0, 0, 0}, {base[0] - 1, base[1] - 1, base[2] - 1}},
+        spacing_(spacing),
+        ask_(std::move(ask)) {}
 
   int electrodes() const { return electrodes_; }
   /// The cells in boxes on a level, which may be images behind periodic faces. Walls end arms half-way, and hide metal

@@ -51,9 +51,9 @@ constexpr Real wall_arm = 0.5;  ///< length of an arm to a wall of the domain
 
 /// The arm of a cell towards a side.
 struct Arm {
-  Real length = 1;   ///< to the surface that cuts it; 1 where none does
+  Real length = 1;  ///< to the surface that cuts it; 1 where none does
   bool is_cut = false;
-  Real first = 0;    ///< behind a face of the level: what the ghost takes of the cell itself
+  Real first = 0;            ///< behind a face of the level: what the ghost takes of the cell itself
   bool is_parabola = false;  ///< the ghost lies on one through a wall, the cell and the next one inside
 };
 

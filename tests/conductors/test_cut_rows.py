@@ -31,7 +31,7 @@ SHORT = (*range(12), *AT_WALLS)
 
 @pytest.mark.parametrize("seed", [*SHORT, *(pytest.param(n, marks=pytest.mark.long) for n in range(200, 400))])
 def test_random_bodies_are_solved_as_by_a_direct_solve(seed):
-    """Trees of bodies, up to three electrodes, some floating; cells of any shape, walls of all kinds with data, noise as charge."""
+    """Up to three electrodes, some floating; cells of any shape, walls of all kinds with data, noise as charge."""
     case = draw(seed)
     rows = CutRows(case.domain, case.electrodes, wall_potential, wall_slope, case.stretch)
     density = np.random.default_rng(seed).normal(size=case.domain.cells) * 5 * epsilon_0

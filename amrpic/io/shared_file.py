@@ -89,6 +89,7 @@ def write(
         if writes:
             with contextlib.suppress(OSError):
                 remove(temporary(file))
+        comm.barrier()  # whoever removes the folder meets no other who does
         raise
     published = attempts.attempt(_published, file, rows) if writes else None
     rows_of_parts = said_to_first(comm, published, groups)

@@ -160,8 +160,8 @@ class PoissonSolver:
     def _require_arms_at_electrodes(self) -> None:
         """Refuse electrodes that no cell sees. Collective."""
         self.native.set_potentials([1.0] * len(self.electrodes))
-        nothing = Field(self.hierarchy).native  # φ is zero in all cells: each cut arm adds to charges
-        charges = self.native.charges(nothing, nothing)
+        # with φ = 0 and ρ < 0 each arm that is cut and each cell in metal adds to the charge
+        charges = self.native.charges(Field(self.hierarchy).native, Field(self.hierarchy).fill(-1.0).native)
         for electrode, charge in zip(self.electrodes, charges, strict=True):
             if charge == 0:
                 raise SolverError(

@@ -19,16 +19,21 @@ from mpi4py import MPI
 from .. import _native
 from ..errors import InputError
 from ..io.birth_files import Births, read
+from ..mesh.columns import Columns
+from ..mesh.spot_on_wall import SpotOnWall
 from ..parallel import from_rank_0, share
 from ..particles.particles import Particles
 from ..particles.sampling import draw
 from ..particles.species import SpeciesTable
 from ..scene.scene import Scene
 from ..scene.sources import IDS, AnySource, FileSource, GivenSource, Source, WallSource, first_ids
-from ..stages.wall_layer import Columns, WallLayer
+from ..stages.wall_layer import WallLayer
 from ..units import SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
 
 BIRTH = 4  # stream of the counter-based generator
+EVENLY = np.array(
+    [0.7548776662466927, 0.5698402909980532]
+)  # steps of an even sequence in a square: 1/g, 1/g², g³ = g + 1
 Kind = TypeVar("Kind", bound=Source | FileSource)
 SurfaceKind = TypeVar("SurfaceKind", bound=Source)
 
@@ -78,6 +83,7 @@ class OfSurface(Emitter[SurfaceKind]):
         super().__init__(source, first)
         self._seed, self._domain = scene.seed, scene.domain.value
         self._origin, self._axes = source.frame(self._domain.lower, self._domain.upper)
+        self._on_wall: SpotOnWall | None = None
 
     def largest_energy(self) -> float:
         return self.source.emitted.largest_energy()
@@ -119,13 +125,19 @@ class OfSurface(Emitter[SurfaceKind]):
         """Return whether the surface emits at places (2, n)."""
         return np.ones(places.shape[1], dtype=bool)
 
-    def pull(self, column: np.ndarray, span: Span) -> np.ndarray:
-        """Return how the field at the wall pulls particles off the faces of some columns, V/m; negative where it pushes."""
+    def pull(self, span: Span) -> np.ndarray:
+        """Return how the field pulls particles off the part of each face of the wall that emits, V/m; negative: it pushes."""
         assert span.layer is not None
-        field = span.layer.at_wall[column]
+        field, columns = span.layer.at_wall, span.layer.columns
         if span.added is not None:
-            field = field + span.added(span.layer.columns.centre[column]) @ self._axes[2]
-        return field * np.sign(self.source.species.charge)
+            field = field + span.added(columns.centre) @ self._axes[2]
+        return self.on_wall(columns).inside(field * np.sign(self.source.species.charge))
+
+    def on_wall(self, columns: Columns) -> SpotOnWall:
+        """Return which part of each face of the wall emits."""
+        if self._on_wall is None or self._on_wall.columns is not columns:
+            self._on_wall = SpotOnWall(columns, None if self.source.spot is None else self.source.spot.holds)
+        return self._on_wall
 
     @property
     def _across(self) -> list[int]:
@@ -153,7 +165,7 @@ class OfGivenCharge(OfSurface[GivenSource]):
         column, _ = columns.find(newborn.position)  # the window is at rest where there is a layer
         supplied = np.bincount(column, newborn.weight * abs(self.source.species.charge), len(columns))
         comm.Allreduce(MPI.IN_PLACE, supplied)
-        most = VACUUM_PERMITTIVITY * np.maximum(self.pull(np.arange(len(columns)), span), 0.0) * columns.area
+        most = VACUUM_PERMITTIVITY * np.maximum(self.pull(span), 0.0) * self.on_wall(columns).area
         fraction = np.divide(most, supplied, out=np.ones_like(most), where=supplied > most)[column]
         return newborn.with_weight(newborn.weight * fraction).select(np.flatnonzero(fraction > 0))
 
@@ -219,8 +231,11 @@ class OfWall(OfSurface[WallSource]):
         return begin + (end - begin) * part / self.source.per_face
 
     def places(self, number: np.ndarray, u: np.ndarray, span: Span) -> np.ndarray:
+        """Those of a step are the same parts of each face: clouds of even charge then leave it even, without noise."""
         columns, column = self._columns(span), self._column(number, span)
-        return (columns.corner[column][:, self._across] + columns.width[column][:, self._across] * u.T).T
+        start = self.draws(span.used, span.used + 1)[:2]
+        parts = (start + EVENLY[:, None] * ((number - span.used) % self.source.per_face)) % 1.0
+        return columns.corner[column][:, self._across].T + columns.width[column][:, self._across].T * parts
 
     def holds(self, places: np.ndarray) -> np.ndarray:
         return super().holds(places) if self.source.spot is None else self.source.spot.holds(places)
@@ -232,7 +247,7 @@ class OfWall(OfSurface[WallSource]):
 
     def surface_charge(self, column: np.ndarray, span: Span) -> np.ndarray:
         """Return what is born in a step on the faces of some columns, C/m² without sign."""
-        pull = self.pull(column, span)
+        pull = self.pull(span)[column]
         begin, end = self._living(span)
         supplied = self.source.current_density(pull) * (end - begin)
         most = VACUUM_PERMITTIVITY * np.maximum(pull, 0.0)
@@ -244,14 +259,7 @@ class OfWall(OfSurface[WallSource]):
 
     def _emitting(self, span: Span) -> np.ndarray:
         """Return the columns with a face that reaches into the spot; none where the window has left the wall."""
-        if span.layer is None:
-            return np.zeros(0, dtype=np.int64)
-        columns = span.layer.columns
-        if self.source.spot is None:
-            return np.arange(len(columns))
-        low = columns.corner[:, self._across]
-        lower, upper = self.source.spot.reach
-        return np.flatnonzero(((low < upper) & (low + columns.width[:, self._across] > lower)).all(axis=1))
+        return np.zeros(0, dtype=np.int64) if span.layer is None else self.on_wall(span.layer.columns).emitting
 
     def _column(self, number: np.ndarray, span: Span) -> np.ndarray:
         return self._emitting(span)[(number - span.used) // self.source.per_face]

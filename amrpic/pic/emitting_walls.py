@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from ..mesh.columns import Columns
 from ..mesh.hierarchy import Hierarchy
 from ..particles.frame import LABORATORY
 from ..particles.particles import Particles
+from ..particles.wall_response import WallResponse
 from ..scene.scene import Scene
-from ..stages.wall_layer import Columns, NormalField, WallLayer, of_component, of_potential
+from ..stages.wall_layer import NormalField, WallLayer, of_component, of_potential
 from .solution import Solution
 
 LEFT = 0.25  # of a cell by which a wall may be off the face of the mesh: the window has not left it behind
@@ -20,12 +22,15 @@ class EmittingWalls:
         faces = {source.face_number for source in scene.sources}
         self.faces = sorted(face for face in faces if face is not None and boundary[face] == "dirichlet")
         self._potential = scene.domain.wall_functions()[0]
+        self._rimmed = {source.face_number for source in scene.sources if getattr(source, "spot", None) is not None}
+        self._shape = scene.particles.clouds.shape
         self._columns: dict[int, Columns] = {}
+        self._responses: dict[int, WallResponse] = {}
 
     def layers(self, solution: Solution, particles: Particles) -> dict[int, WallLayer]:
         """Return the layers at the faces, by their numbers, with what was solved for and its particles in them. Collective."""
         return {
-            face: WallLayer.of(columns, self._field(columns, solution), particles)
+            face: WallLayer.of(columns, self._field(columns, solution), particles, self._responses.get(face))
             for face in self.faces
             if (columns := self._on(solution.rho.hierarchy, face)) and not _is_left(columns, solution)
         }
@@ -34,6 +39,8 @@ class EmittingWalls:
         columns = self._columns.get(face)
         if columns is None or columns.hierarchy is not hierarchy:
             self._columns[face] = columns = Columns(hierarchy, face)
+            if face in self._rimmed:
+                self._responses[face] = WallResponse(columns, self._shape)
         return columns
 
     def _field(self, columns: Columns, solution: Solution) -> NormalField:

@@ -91,6 +91,10 @@ class GaussianSpot(Spot):
         radius = np.minimum(np.sqrt(-2 * np.log1p(-u[0] * inside)), self.cutoff)
         return np.array(self.sigma)[:, None] * _polar(radius, u[1])
 
+    def holds(self, places: np.ndarray) -> np.ndarray:
+        units = (places - np.array(self.centre)[:, None]) / np.array(self.sigma)[:, None]
+        return np.hypot(*units) <= self.cutoff
+
     @property
     def _half(self) -> Pair:
         x, y = (self.cutoff * size for size in self.sigma)

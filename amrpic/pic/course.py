@@ -56,6 +56,7 @@ class Course:
     goes: str = "nowhere"  # with the reference particle: "x", "y" or "z" along that axis, "turning" wherever it goes
     stride: float = 0.0  # m by which it goes along an axis: a wall left behind stays on the lattice of the mesh; 0: any
     start: float = 0.0  # place of the reference particle along that axis where the window is at rest, m
+    stays: float = -math.inf  # s until which the window is at rest at least, as sources at the wall behind it emit
 
     @property
     def path(self) -> float:
@@ -88,7 +89,14 @@ class Course:
     def on_base_of(self, scene: Scene) -> Course:
         """Return the course with a window that goes by the base cells of a scene, if it leaves a wall behind."""
         axis = scene.axis_of_wall_left
-        return self if axis is None else replace(self, stride=float(scene.domain.value.spacing[axis]))
+        if axis is None:
+            return self
+        out = replace(self, stride=float(scene.domain.value.spacing[axis]))
+        stops = [source.stop_time for source in scene.sources if source.emits_at(axis)]
+        if not stops:
+            return out
+        middle = (scene.domain.lower[axis] + scene.domain.upper[axis]) / 2
+        return replace(out, start=max(self.start, middle), stays=max(stops))
 
     def after(self, dt: float, time: float, external: ExternalFields, pusher: str) -> Course:
         """Return the course `dt` s later than `time` s, in fields of elements in the laboratory."""
@@ -100,12 +108,20 @@ class Course:
             window = _turned(window, now, np.array(now.momentum), later)
         elif self.goes in AXES:
             along = [axis == self.goes for axis in AXES]
+            place = later.position[AXES.index(self.goes)]
+            if self._waits(time + dt, place):
+                return replace(self, reference=later, start=max(self.start, place))
             if self.stride > 0:
                 origin = self.stride * np.round(np.subtract(later.position, self.start) / self.stride)
             else:
                 origin = window.origin + np.subtract(later.position, now.position)
             window = window.at(np.where(along, origin, 0.0))
         return replace(self, reference=later, window=window)
+
+    def _waits(self, time: float, place: float) -> bool:
+        """Whether the window is at rest still: until sources behind it have ended and the reference particle is in the middle."""
+        emits = self.stays > -math.inf and self.window.origin == AT_REST.origin
+        return emits and (time < self.stays or place < self.start)
 
     def to_dict(self) -> dict[str, Any]:
         """Return what JSON can hold; numbers keep every bit."""
@@ -118,7 +134,7 @@ class Course:
         if reference is not None:
             vectors = {key: tuple(reference[key]) for key in ("position", "momentum")}
             reference = ReferenceParticle(**{**reference, **vectors})
-        optional = {key: values[key] for key in ("stride", "start") if key in values}
+        optional = {key: values[key] for key in ("stride", "start", "stays") if key in values}
         return cls(reference, window_of(values["window"]), values["goes"], **optional)
 
 

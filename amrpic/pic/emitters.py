@@ -6,7 +6,6 @@ from seed and id, so they are the same on any ranks and after a restart.
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -214,8 +213,7 @@ class PerStep(OfGivenCharge):
 
     def _living(self, span: Span) -> tuple[float, float]:
         """Return the part of a step in which there is any charge, s."""
-        pulse = self.source.pulse
-        return max(span.start, pulse.start), min(span.stop, pulse.start + pulse.duration)
+        return max(span.start, self.source.pulse.start), min(span.stop, self.source.stop_time)
 
 
 class OfWall(OfSurface[WallSource]):
@@ -266,8 +264,7 @@ class OfWall(OfSurface[WallSource]):
 
     def _living(self, span: Span) -> tuple[float, float]:
         """Return the part of a step in which the wall emits, s."""
-        stop = math.inf if self.source.stop is None else self.source.stop
-        return max(span.start, self.source.start), min(span.stop, stop)
+        return max(span.start, self.source.start), min(span.stop, self.source.stop_time)
 
 
 class OfFile(Emitter[FileSource]):

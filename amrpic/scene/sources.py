@@ -47,8 +47,8 @@ class PlaneSection(Section):
         return self
 
 
-class Source(Obstacle):
-    """What all sources have. Particles are born on a face of the domain, or on a plane inside."""
+class OfSpecies(Obstacle):
+    """What all sources have."""
 
     name: str = Field(default="", description="A name of your own, kept in the outputs; source_0, … if not given.")
     species: Species = Field(
@@ -57,6 +57,30 @@ class Source(Obstacle):
     face: Literal[FACES] | None = Field(  # type: ignore[valid-type]
         default=None, description="Face of the domain that particles leave, such as z_lower."
     )
+
+    @property
+    def face_number(self) -> int | None:
+        """Index of the face in `FACES`."""
+        return None if self.face is None else FACES.index(self.face)
+
+    @property
+    def is_limited(self) -> bool:
+        """Whether no more is born than Gauss's law takes until the field at the wall is zero."""
+        return False
+
+    @property
+    def stop_time(self) -> float:
+        """When the last particles are born, s, as far as the scene says so."""
+        return -math.inf
+
+    def emits_at(self, axis: int) -> bool:
+        """Whether particles leave a face across an axis."""
+        return self.face_number is not None and self.face_number // 2 == axis
+
+
+class Source(OfSpecies):
+    """Particles that are born on a face of the domain, or on a plane inside."""
+
     plane: PlaneSection | None = Field(default=None, description="A plane, in place of a face.")
     spot: AnySpot | None = Field(
         default=None, description="Where on it; without one evenly on all of the face. A plane needs one."
@@ -81,11 +105,6 @@ class Source(Obstacle):
                 found=self.emitted.kind,
             )
         return self
-
-    @property
-    def face_number(self) -> int | None:
-        """Index of the face in `FACES`."""
-        return None if self.face is None else FACES.index(self.face)
 
     @property
     def emitted(self) -> AnyMomenta:
@@ -176,8 +195,11 @@ class GivenSource(Source):
 
     @property
     def is_limited(self) -> bool:
-        """Whether no more is born than Gauss's law takes until the field at the wall is zero."""
         return self.limit == "space-charge"
+
+    @property
+    def stop_time(self) -> float:
+        return self.pulse.start + self.pulse.duration
 
     def charge_until(self, time: float) -> float:
         """Return the charge in C that is born until a time in s."""
@@ -271,13 +293,12 @@ class WallSource(Source):
             raise complaint("is not after start", "swap them", path="stop", found=self.stop)
         return self
 
+    @property
+    def stop_time(self) -> float:
+        return math.inf if self.stop is None else self.stop
+
     def current_density(self, pull: np.ndarray) -> np.ndarray:
         """Return what the surface supplies in A/m², without its sign, where the field pulls so much, V/m (negative: pushes)."""
-        raise NotImplementedError
-
-    @property
-    def is_limited(self) -> bool:
-        """Whether no more is born than Gauss's law takes until the field at the wall is zero."""
         raise NotImplementedError
 
 
@@ -341,7 +362,7 @@ def first_ids(sources: Sequence[Obstacle]) -> list[int]:
     return [(number + 1) * IDS for number in range(len(sources))]
 
 
-class FileSource(Obstacle):
+class FileSource(OfSpecies):
     """Particles in a file that are born at times and places of their own.
 
     An openPMD file (HDF5) with particles of status 0, as beamphysics and distgen write those at a cathode, or of status 1 with
@@ -349,10 +370,6 @@ class FileSource(Obstacle):
     """
 
     process: Literal["file"] = "file"
-    name: str = Field(default="", description="A name of your own, kept in the outputs; source_0, … if not given.")
-    species: Species = Field(
-        default=SPECIES["electron"], description="A name, or charge (C) and mass (kg) of one real particle."
-    )
     file: str = Field(description="The file; a relative path starts at the scene file.")
     iteration: int | None = Field(
         default=None, ge=0, description="Which iteration of the file; needed if it holds several."
@@ -362,19 +379,6 @@ class FileSource(Obstacle):
     )
     shift: Length3 = Field(default=(0.0, 0.0, 0.0), description="By how much places are moved, m.")
     delay: Time = Field(default=0.0, description="By how much births are later, s.")
-    face: Literal[FACES] | None = Field(  # type: ignore[valid-type]
-        default=None, description="Face of the domain that particles leave, if they leave one."
-    )
-
-    @property
-    def face_number(self) -> int | None:
-        """Index of the face in `FACES`."""
-        return None if self.face is None else FACES.index(self.face)
-
-    @property
-    def is_limited(self) -> bool:
-        """Whether space charge bounds what is born."""
-        return False
 
 
 IDS = 2**48  # of a source

@@ -119,7 +119,7 @@ class Course:
         return replace(self, reference=later, window=window)
 
     def _waits(self, time: float, place: float) -> bool:
-        """Whether the window is at rest still: until sources behind it have ended and the reference particle is in the middle."""
+        """Whether the window is at rest still: until sources behind it end, and the reference particle is in the middle."""
         emits = self.stays > -math.inf and self.window.origin == AT_REST.origin
         return emits and (time < self.stays or place < self.start)
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+
+import numpy as np
 
 from ..mesh.field import Field, VectorField
 from ..space_charge.quantities import QuantitiesOnMesh
@@ -23,6 +26,18 @@ class Quantities(QuantitiesOnMesh):
     def beam(self) -> MeshedParticles:
         """The particles, with what there is of their field by now."""
         return self._beam
+
+    @property
+    def surfaces(self) -> Sequence[tuple[int, np.ndarray, np.ndarray]]:
+        """Those of sources, but for walls that the window has left behind."""
+        left = () if self._last is None else set(self._setup.emitting_walls.faces) - set(self._last.layers)
+        domain, sources = self._setup.scene.domain, self._setup.scene.sources
+        return [
+            surface
+            for source in sources
+            for surface in source.surfaces(domain.lower, domain.upper)
+            if surface[0] not in left
+        ]
 
     def _rho(self) -> Field:
         """Charge density, C/m³."""

@@ -11,7 +11,7 @@ from .domain import LARGEST_INDEX
 from .elements import ConstantFocusingElement
 from .obstacles import aperture_names, repeated_names
 from .parts import SceneParts
-from .refinement_rules import StaticBox, StaticRule, every_rule
+from .refinement_rules import EmissionRule, StaticBox, StaticRule, every_rule
 from .sources import WallSource
 
 MOST_BINS = 1_000_000  # of a map of losses
@@ -34,6 +34,7 @@ def check(scene: SceneParts) -> None:
         _window,
         _names,
         _sources,
+        _emission_rule,
         _bins,
     ):
         fits(scene)
@@ -247,6 +248,18 @@ def _sources(scene: SceneParts) -> None:
                 "set it to 2",
                 path="solver.order",
                 found=scene.solver.order,
+            )
+
+
+def _emission_rule(scene: SceneParts) -> None:
+    emits = any(source.face is not None for source in scene.sources)
+    for path, rule in every_rule(scene.refinement.rule):
+        if isinstance(rule, EmissionRule) and not emits:
+            raise complaint(
+                "refines at faces that sources emit from, and none does",
+                "name a face of [[sources]], or choose another rule",
+                path=f"refinement.{path}",
+                found=rule.kind,
             )
 
 

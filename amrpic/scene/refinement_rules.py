@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from .complaints import close_match, complaint
 from .section import Section
-from .units import ChargeDensity, FieldStrength, Index3, Length3, Momentum, Potential
+from .units import ChargeDensity, FieldStrength, Index3, Length, Length3, Momentum, Potential
 
 #: What a function that tags cells may ask for by the names of its parameters; arrays are of one box.
 ARGUMENTS = {
@@ -132,6 +132,29 @@ class RadiusRule(Bounds):
     )
     at_least: float | None = Field(default=None, ge=0, description="Least distance, rms sizes.")
     at_most: float | None = Field(default=None, ge=0, description="Largest distance, rms sizes.")
+
+
+class EmissionRule(Rule):
+    """Refine a layer at the faces of the domain that sources emit from, within their spots."""
+
+    kind: Literal["emission"] = "emission"
+    depth: Length | None = Field(default=None, gt=0, description="Of the layer on all levels, m.")
+    cells: int | None = Field(
+        default=None,
+        ge=1,
+        description="Depth of the layer in cells of each level that is made, so that it is half as deep on each next one.",
+    )
+
+    @model_validator(mode="after")
+    def _one_depth(self) -> Self:
+        if (self.depth is None) == (self.cells is None):
+            wrong = "must be given, or else cells" if self.depth is None else "is given as well as cells"
+            raise complaint(wrong, "give one of the two", path="depth", found=self.depth or "nothing")
+        return self
+
+    def depth_on(self, width: float) -> float:
+        """Return the depth, m, of the layer of cells of a width in m."""
+        return self.depth if self.depth is not None else (self.cells or 0) * width
 
 
 class CallableRule(Rule):
@@ -257,6 +280,7 @@ RuleKind = Annotated[
     | MomentumRule
     | ParticlesRule
     | RadiusRule
+    | EmissionRule
     | CallableRule
     | StaticRule
     | AnyRule

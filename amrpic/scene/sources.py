@@ -73,6 +73,24 @@ class OfSpecies(Obstacle):
         """When the last particles are born, s, as far as the scene says so."""
         return -math.inf
 
+    def surfaces(self, lower: Sequence[float], upper: Sequence[float]) -> list[tuple[int, np.ndarray, np.ndarray]]:
+        """Return the number of the face of a domain of these corners that emits, and the corners (3,) of the part that does, m;
+        none of a plane inside.
+        """
+        if self.face_number is None:
+            return []
+        axis, side = divmod(self.face_number, 2)
+        first, last = np.array(lower, dtype=float), np.array(upper, dtype=float)
+        first[axis] = last[axis] = (lower, upper)[side][axis]
+        across = [other for other in range(3) if other != axis]
+        spot: AnySpot | None = getattr(self, "spot", None)
+        if spot is not None:
+            first[across], last[across] = (
+                np.maximum(first[across], spot.reach[0]),
+                np.minimum(last[across], spot.reach[1]),
+            )
+        return [(self.face_number, first, last)]
+
     def emits_at(self, axis: int) -> bool:
         """Whether particles leave a face across an axis."""
         return self.face_number is not None and self.face_number // 2 == axis

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
+
+import numpy as np
 
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
@@ -23,6 +25,11 @@ class QuantitiesOnMesh(Mapping[str, Any]):
     def __init__(self, particles: Particles, hierarchy: Hierarchy) -> None:
         self.particles, self.hierarchy = particles, hierarchy
         self._made: dict[str, Field | VectorField] = {}
+
+    @property
+    def surfaces(self) -> Sequence[tuple[int, np.ndarray, np.ndarray]]:
+        """Faces of the domain that emit, by their numbers, with the corners (3,) in m of the part that does."""
+        return ()
 
     def __getitem__(self, name: str) -> Any:
         if name not in self._made:

@@ -15,6 +15,7 @@ from ..scene.refinement_rules import (
     AnyRule,
     CallableRule,
     ChargeDensityRule,
+    EmissionRule,
     FieldStrengthRule,
     MomentumRule,
     ParticlesRule,
@@ -70,6 +71,8 @@ def _tags(rule: RuleKind, quantities: QuantitiesOnMesh, part: float) -> Tags:
             return tag.by_function(
                 quantities.hierarchy, rule.function, rule.name, rule.arguments, {**values_of, "hysteresis": part}
             )
+        case EmissionRule():
+            return tag.inside(quantities.hierarchy, _layers(rule, quantities))
         case MomentumRule():
             return _by_momentum(rule, quantities, part)
         case RadiusRule():
@@ -84,6 +87,18 @@ def _tags(rule: RuleKind, quantities: QuantitiesOnMesh, part: float) -> Tags:
         case FieldStrengthRule():
             values = tag.magnitude(quantities["efield"], "field")
     return tag.exceeding(values, part * _thresholds(rule, tag.largest(quantities.hierarchy.comm, values)))
+
+
+def _layers(rule: EmissionRule, quantities: QuantitiesOnMesh) -> list[np.ndarray]:
+    """Return the index boxes (n, 6) per refined level, and one level more, of the layers at surfaces that emit."""
+    hierarchy, regions = quantities.hierarchy, []
+    for level in range(1, hierarchy.levels + 1):
+        for face, lower, upper in quantities.surfaces:
+            axis, side = divmod(face, 2)
+            depth = rule.depth_on(float(hierarchy.domain.spacing[axis]) / 2**level)
+            reach = np.where(np.arange(3) == axis, depth, 0.0)
+            regions.append((level, lower - reach * side, upper + reach * (1 - side)))
+    return tag.static_boxes(hierarchy.domain, regions)
 
 
 def _over(at_most: float | None, part: float) -> float:

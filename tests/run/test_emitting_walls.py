@@ -109,16 +109,45 @@ def test_a_diode_has_the_space_charge_limited_current(voltage, cells, expected, 
 @pytest.mark.long
 @pytest.mark.parametrize(("levels", "error"), [(0, 3e-3), (1, 1.5e-3), (2, 8e-4)])
 def test_levels_at_the_cathode_make_its_profile_finer(levels, error):
-    width = GAP / 32
-    boxes = [
-        {"level": level, "lower": [0, 0, 0], "upper": [4 * width, 4 * width, 4 * width]}
-        for level in range(1, levels + 1)
-    ]
-    refinement: dict[str, Any] = {"levels": levels, "regrid_every": 0, "blocking_factor": 4}
-    refinement |= {"rule": {"kind": "static", "boxes": boxes}} if levels else {}
+    refinement = {"levels": levels, "regrid_every": 0, "blocking_factor": 4, "buffer": 0}
+    refinement |= {"rule": {"kind": "emission", "depth": 4 * GAP / 32}} if levels else {}
     found, run = current(diode(100.0, 32, limited(100.0), 4.0, refinement=refinement))
+    assert run.hierarchy.levels == 1 + levels
     assert found / child(100.0) == pytest.approx(1.00372, rel=0.003)
     assert profile_error(run, 100.0) < error
+
+
+def layer_of(rule: dict[str, Any], **source: Any) -> list[np.ndarray]:
+    """Boxes in m (n, 6) of each refined level at the start of a diode of 16³ cells, of 10 mm."""
+    refinement = {"levels": 2, "blocking_factor": 2, "max_grid_size": 8, "buffer": 0, "nesting": 1, "rule": rule}
+    scene = diode(100.0, 16, {**limited(100.0), **source}, 1.0, across=16, refinement=refinement)
+    mesh = Simulation(MPI.COMM_SELF, scene).hierarchy
+    return [
+        np.concatenate([mesh.boxes(n)[:, :3], mesh.boxes(n)[:, 3:] + 1], axis=1) * GAP / 16 / 2**n
+        for n in range(1, mesh.levels)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("rule", "depths"), [({"depth": "2.5 mm"}, (2.5e-3, 2.5e-3)), ({"cells": 8}, (2.5e-3, 1.25e-3))]
+)
+def test_a_layer_at_the_wall_is_refined_within_the_spot(rule, depths):
+    spot = {"shape": "rectangle", "half_widths": [2.5e-3, 2.5e-3], "centre": [5e-3, 5e-3]}
+    levels = layer_of({"kind": "emission", **rule}, spot=spot)
+    for boxes, depth in zip(levels, depths, strict=True):
+        assert boxes[:, 2].min() == 0 and boxes[:, 5].max() == pytest.approx(depth, abs=6.3e-4)
+        assert boxes[:, :2].min() == pytest.approx(2.5e-3, abs=6.3e-4)
+        assert boxes[:, 3:5].max() == pytest.approx(7.5e-3, abs=6.3e-4)
+
+
+@pytest.mark.parametrize(
+    ("rule", "words"), [({}, "must be given"), ({"depth": 1, "cells": 2}, "as well as"), ({"cells": 2}, "none does")]
+)
+def test_bad_rules_for_emission_are_refused_in_one_sentence(rule, words):
+    sources = {"sources": []} if words == "none does" else {}
+    with pytest.raises(SceneError) as refused:
+        diode(100.0, 8, limited(100.0), 1.0, refinement={"levels": 1, "rule": {"kind": "emission", **rule}}, **sources)
+    assert words in str(refused.value) and "refinement.rule" in str(refused.value)
 
 
 @pytest.mark.long

@@ -15,7 +15,7 @@ from .emitters import Span
 from .leapfrog import kicked
 from .setup import Setup
 from .state import State
-from .tallies import Tallies
+from .tallies import PARTS, Tallies
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +46,11 @@ def births(state: State, setup: Setup) -> Born | None:
         for emitter, span, tally in zip(setup.emitters, spans, state.tallies.of, strict=True):
             own = emitter.own(newborn.id)
             time[own] = emitter.times(newborn.id[own] - emitter.first, span)
-            count, charge = setup.comm.allreduce(np.array([own.sum(), (newborn.weight * newborn.charge)[own].sum()]))
-            tallies.append(tally.after(emitter.numbers(span).stop, int(count), float(charge)))
+            charge = (newborn.weight * newborn.charge)[own]
+            part = emitter.part(state.window.places(newborn.position[own]), PARTS)
+            charges = np.bincount(part, charge, 1 if emitter.extent is None else PARTS**2)
+            count, *sums = setup.comm.allreduce(np.concatenate([[own.sum()], charges]))
+            tallies.append(tally.after(emitter.numbers(span).stop, int(count), np.array(sums)))
     with setup.clock("push"):
         moved = _flown(state, newborn, stop - time, setup)
     return Born(moved, newborn.position, newborn.momentum, time, Tallies(tuple(tallies)))

@@ -70,6 +70,15 @@ class Emitter(ABC, Generic[Kind]):
     def largest_energy(self) -> float:
         """Return a kinetic energy in J that particles are born with, about the largest."""
 
+    @property
+    def extent(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Corners (2,) in m, along its axes, of the surface that emits; None of a source without one."""
+        return None
+
+    def part(self, position: np.ndarray, parts: int) -> np.ndarray:
+        """Return in which part (n,) of the surface, cut into so many along either axis, places (n, 3) in the laboratory lie."""
+        return np.zeros(len(position), dtype=np.int64)
+
     def own(self, ids: np.ndarray) -> np.ndarray:
         """Return which ids are those of this source."""
         return ids // IDS == self.first // IDS
@@ -86,6 +95,18 @@ class OfSurface(Emitter[SurfaceKind]):
 
     def largest_energy(self) -> float:
         return self.source.emitted.largest_energy()
+
+    @property
+    def extent(self) -> tuple[np.ndarray, np.ndarray]:
+        if self.source.spot is not None:
+            return self.source.spot.reach
+        lower, upper = (np.array(corner)[self._across] for corner in (self._domain.lower, self._domain.upper))
+        return lower, upper
+
+    def part(self, position: np.ndarray, parts: int) -> np.ndarray:
+        lower, upper = self.extent
+        share = ((position - self._origin) @ self._axes[:2].T - lower) / (upper - lower)
+        return np.clip((share * parts).astype(np.int64), 0, parts - 1) @ [parts, 1]
 
     def draws(self, first: int, last: int) -> np.ndarray:
         """Return numbers in (0, 1) for places and momenta of particles, (7, n)."""
@@ -117,8 +138,8 @@ class OfSurface(Emitter[SurfaceKind]):
         """Return places (2, n) of particles on the surface, m."""
         if self.source.spot is not None:
             return self.source.spot.place(u)
-        lower, upper = (np.array(corner)[self._across, None] for corner in (self._domain.lower, self._domain.upper))
-        return lower + (upper - lower) * u
+        lower, upper = self.extent
+        return lower[:, None] + (upper - lower)[:, None] * u
 
     def holds(self, places: np.ndarray) -> np.ndarray:
         """Return whether the surface emits at places (2, n)."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
 from ..errors import AmrpicError, SolverError
-from ..io import openpmd_meshes, openpmd_writer, vtkhdf_writer
+from ..io import openpmd_meshes, openpmd_writer, time_series, vtkhdf_writer
 from ..io.checkpoint import Snapshot
 from ..io.time_series import Series
 from ..mesh.domain import AXES
@@ -17,6 +17,7 @@ from ..scene.scene import Scene
 from ..stages.diagnostics import measure, quantities
 from ..units import Column, quantity
 from ..view.views import OVERVIEW
+from . import emission_map
 from .beam_tables import BeamTables, Diagnostic
 from .fills import Fills
 from .leapfrog import synchronized
@@ -96,6 +97,10 @@ class ParticleRecorder(Recorder[State]):
     def _add_last_rows(self, state: State) -> None:
         if self._beam is not None:
             self._beam.record_now(state)
+        if self._sources is not None:
+            given = emission_map.rows(self._scene, self._setup.emitters, state.tallies.of)
+            path = self._scene.directory / emission_map.EMISSION
+            time_series.write(self._comm, path, emission_map.COLUMNS, list(given), self._about)
 
     def _remarks(self, state: State) -> Iterable[str]:
         yield from super()._remarks(state)

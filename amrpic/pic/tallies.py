@@ -6,6 +6,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Self
 
+import numpy as np
+
 from ..errors import InputError
 from ..particles.species import Species, SpeciesTable
 from ..scene.scene import Scene
@@ -13,6 +15,7 @@ from ..scene.sources import first_ids
 from ..units import Column
 
 SOURCES = "sources.csv"
+PARTS = 32  # of the map of a source, along either axis of its surface
 COLUMNS = ("source", "born_particles", "born_charge", "current")
 TABLE = (
     Column("step", counts=True),
@@ -32,10 +35,16 @@ class Tally:
     particles: int = 0  # macroparticles that were born in the domain
     charge: float = 0.0  # C, theirs
     latest: float = 0.0  # C, of those of the latest step
+    map: tuple[
+        float, ...
+    ] = ()  # C, of parts of its surface, PARTS along either axis; none of a source without a surface
 
-    def after(self, used: int, particles: int, charge: float) -> Tally:
-        """Return the tally after a step that gives so much."""
-        return Tally(max(self.used, used), self.particles + particles, self.charge + charge, charge)
+    def after(self, used: int, particles: int, charges: np.ndarray) -> Tally:
+        """Return the tally after a step that gives charges to parts of a surface, (PARTS²,) or all to one, (1,), in C."""
+        before = np.array(self.map) if self.map else np.zeros(len(charges))
+        charge = float(charges.sum())
+        map_ = tuple((before + charges).tolist()) if len(charges) > 1 else ()
+        return Tally(max(self.used, used), self.particles + particles, self.charge + charge, charge, map_)
 
 
 @dataclass(frozen=True)
@@ -47,7 +56,12 @@ class Tallies:
     @classmethod
     def of_scene(cls, scene: Scene, earlier: Sequence[Mapping[str, Any]] = ()) -> Self:
         """Return those before the first birth; what is `earlier`, by `to_list`, goes on."""
-        return cls((*(Tally(**tally) for tally in earlier), *(Tally() for _ in scene.sources[len(earlier) :])))
+        return cls(
+            (
+                *(Tally(**{**of, "map": tuple(of.get("map", ()))}) for of in earlier),
+                *(Tally() for _ in scene.sources[len(earlier) :]),
+            )
+        )
 
     def rows(self, scene: Scene, duration: float) -> Iterator[dict[str, float | str]]:
         """Yield what `SOURCES` has of each source, after a latest step of so many s."""

@@ -25,7 +25,7 @@ from ..mesh.pictures import png
 from ..scene import toml
 from ..scene.scene import Scene
 from ..units import ELEMENTARY_CHARGE, quantity
-from ..view import draw, phase_space
+from ..view import draw, emission, phase_space
 from ..view.views import overview_of
 from . import curves
 from .dumped_fields import is_of_points, scene_of
@@ -82,7 +82,7 @@ def make(folder: Path) -> str:
     else:
         scene = scene_of(data, path)
         summary, remarks = scene.summary(), [*remarks, *scene.remarks()]
-        of_method = [("Beam", _beam(folder, series, scene))]
+        of_method = [("Beam", _beam(folder, series, scene)), ("Sources", _sources(folder, scene))]
     sections = [
         ("Pictures", _pictures(folder, int(_last(series, "particles")))),
         *of_method,
@@ -161,6 +161,20 @@ def _beam(folder: Path, series: Table, scene: Scene) -> str:
         step = int(beam["step"].max(initial=0))
         out += _wide(table(head, rows, f"Groups of particles at step {step}"))
     return out
+
+
+def _sources(folder: Path, scene: Scene) -> str:
+    """Return pictures of what sources gave, and of slices of the particles that are left of it, where these were written."""
+    if not scene.sources:
+        return ""
+    pictures = []
+    with contextlib.suppress(InputError):
+        pictures += [_image(figure, name) for name, figure in emission.figures(folder)]
+    for source in scene.source_names:
+        with contextlib.suppress(InputError):
+            for _, figure in phase_space.figures(particle_reader.read(folder), ("slices",), source):
+                pictures.append(_image(figure, f"slices of {source}"))
+    return f'<div class="pictures">{"".join(pictures)}</div>' if pictures else ""
 
 
 def _group(row: Any) -> list[str]:

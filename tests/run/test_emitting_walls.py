@@ -144,7 +144,7 @@ def test_a_layer_at_the_wall_is_refined_within_the_spot(rule, depths):
     ("rule", "words"), [({}, "must be given"), ({"depth": 1, "cells": 2}, "as well as"), ({"cells": 2}, "none does")]
 )
 def test_bad_rules_for_emission_are_refused_in_one_sentence(rule, words):
-    sources = {"sources": []} if words == "none does" else {}
+    sources: dict[str, Any] = {"sources": []} if words == "none does" else {}
     with pytest.raises(SceneError) as refused:
         diode(100.0, 8, limited(100.0), 1.0, refinement={"levels": 1, "rule": {"kind": "emission", **rule}}, **sources)
     assert words in str(refused.value) and "refinement.rule" in str(refused.value)
@@ -173,7 +173,7 @@ def test_a_supply_above_the_limit_is_turned_back_as_by_langmuir(share, supply, e
 def half_of_the_limit(cells: int, finer: int = 1) -> float:
     """Field at the cathode, V/d, late in a diode with half of the limit's current, which is 2/3 in the exact solution."""
     source = {"process": "given", "current": -0.5 * child(100.0) * (4 * GAP / cells) ** 2, "sampling": "sobol"}
-    scene = diode(100.0, cells, {**source, "per_step": 256 // finer, "momenta": {"kind": "cold"}}, 4.0)
+    scene: Any = diode(100.0, cells, {**source, "per_step": 256 // finer, "momenta": {"kind": "cold"}}, 4.0)
     motion = {"kind": "leapfrog", "frame": "lab", "dt": scene.motion.dt * 2 / finer}
     run = Simulation(MPI.COMM_SELF, scene.replace(motion=motion, schedule={"steps": scene.schedule.steps * finer // 2}))
     fields = [-state.solution.layers[4].at_wall.mean() * GAP / 100.0 for state in run]

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from mpi4py import MPI
 
 from amrpic.commands.preview import preview
 from amrpic.io import time_series
 from amrpic.pic.simulation import Simulation
+from amrpic.results import report
 from amrpic.scene.scene import Scene
+from amrpic.view import emission
 
 
 def scene(folder, steps: int) -> Scene:
@@ -53,6 +56,15 @@ def test_a_run_tells_what_its_sources_gave(tmp_path):
         table["born_charge"][gun], np.cumsum(table["current"][gun]) * 1e-10, rtol=1e-9, atol=1e-30
     )
     np.testing.assert_allclose(table["current"][~gun][1:], 1e-9, rtol=1e-9)
+    places = time_series.read(tmp_path / "emission.csv")
+    of_gun = places[places["source"] == "gun"]
+    assert len(of_gun) == 32**2 and of_gun["area"].sum() == pytest.approx(1e-6)
+    assert of_gun["charge"].sum() == pytest.approx(-1e-15)
+    x = np.average(of_gun["x"], weights=of_gun["charge"])
+    assert x == pytest.approx(5e-4, abs=5 * 1e-3 / np.sqrt(12 * 500))
+    names = [name for name, _ in emission.figures(tmp_path)]
+    assert names == ["current of sources", "emission of gun", "emission of source_1"]
+    assert "emission of gun" in report.make(tmp_path)
     beam = time_series.read(tmp_path / "beam.csv")
     assert set(beam["group"]) == {"all", "electron", "proton", "gun", "source_1"}
     last = (np.array(beam["group"]) == "gun") & (beam["step"] == 20)
@@ -65,6 +77,8 @@ def test_a_restart_goes_on_with_the_table(tmp_path):
     Simulation(scene(cut, 10)).run(log="silent")
     Simulation.restart(cut / "checkpoint_00000010", scene(cut, 20)).run(log="silent")
     one, other = (time_series.read(folder / "sources.csv") for folder in (whole, cut))
+    maps = [time_series.read(folder / "emission.csv")["charge"] for folder in (whole, cut)]
+    np.testing.assert_array_equal(maps[0], maps[1])
     for column in ("step", "time", "source", "born_particles", "born_charge", "current"):
         np.testing.assert_array_equal(one[column], other[column])
 

@@ -20,12 +20,14 @@ from ..errors import InputError
 from ..io.birth_files import Births, read
 from ..mesh.columns import Columns
 from ..mesh.spot_on_wall import SpotOnWall
-from ..parallel import from_rank_0, share
+from ..parallel import call_together, from_rank_0, share
 from ..particles.particles import Particles
 from ..particles.sampling import draw
 from ..particles.species import SpeciesTable
+from ..scene.any_source import AnySource
+from ..scene.injection import FunctionSource
 from ..scene.scene import Scene
-from ..scene.sources import IDS, AnySource, FileSource, GivenSource, Source, WallSource, first_ids
+from ..scene.sources import IDS, FileSource, GivenSource, OfSpecies, Source, WallSource, first_ids
 from ..stages.wall_layer import WallLayer
 from ..units import SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
 
@@ -33,7 +35,7 @@ BIRTH = 4  # stream of the counter-based generator
 EVENLY = np.array(
     [0.7548776662466927, 0.5698402909980532]
 )  # steps of an even sequence in a square: 1/g, 1/g², g³ = g + 1
-Kind = TypeVar("Kind", bound=Source | FileSource)
+Kind = TypeVar("Kind", bound=OfSpecies)
 SurfaceKind = TypeVar("SurfaceKind", bound=Source)
 
 
@@ -98,8 +100,8 @@ class OfSurface(Emitter[SurfaceKind]):
 
     @property
     def extent(self) -> tuple[np.ndarray, np.ndarray]:
-        if self.source.spot is not None:
-            return self.source.spot.reach
+        if self.source.reach is not None:
+            return self.source.reach
         lower, upper = (np.array(corner)[self._across] for corner in (self._domain.lower, self._domain.upper))
         return lower, upper
 
@@ -121,8 +123,8 @@ class OfSurface(Emitter[SurfaceKind]):
         first, last = (all_.start + n for n in share(comm, len(all_)))
         number, u = np.arange(first, last), self.draws(first, last)
         time = self.times(number, span)
-        normal, *across = self.source.emitted.momenta(u[2:5], self.source.species.mass)
-        places = self.places(number, u[:2], span)
+        places, (normal, *across) = self.source.born(u)
+        places = self.places(number, places, u[:2], span)
         position = self._origin + places.T @ self._axes[:2]
         momentum = np.stack([*across, normal], axis=1) @ self._axes
         weight = self.weights(number, span)
@@ -134,12 +136,10 @@ class OfSurface(Emitter[SurfaceKind]):
         """Return the particles of a step with no more weight than the field at the wall takes. Collective."""
         return newborn
 
-    def places(self, number: np.ndarray, u: np.ndarray, span: Span) -> np.ndarray:
-        """Return places (2, n) of particles on the surface, m."""
-        if self.source.spot is not None:
-            return self.source.spot.place(u)
+    def places(self, number: np.ndarray, of_source: np.ndarray | None, u: np.ndarray, span: Span) -> np.ndarray:
+        """Return places (2, n) of particles on the surface, m: those of the source, if it says where."""
         lower, upper = self.extent
-        return lower[:, None] + (upper - lower)[:, None] * u
+        return lower[:, None] + (upper - lower)[:, None] * u if of_source is None else of_source
 
     def holds(self, places: np.ndarray) -> np.ndarray:
         """Return whether the surface emits at places (2, n)."""
@@ -249,7 +249,7 @@ class OfWall(OfSurface[WallSource]):
         part = (number - span.used) % self.source.per_face + self._uniform(number)
         return begin + (end - begin) * part / self.source.per_face
 
-    def places(self, number: np.ndarray, u: np.ndarray, span: Span) -> np.ndarray:
+    def places(self, number: np.ndarray, of_source: np.ndarray | None, u: np.ndarray, span: Span) -> np.ndarray:
         """Those of a step are the same parts of each face: clouds of even charge then leave it even, without noise."""
         columns, column = self._columns(span), self._column(number, span)
         start = self.draws(span.used, span.used + 1)[:2]
@@ -314,6 +314,47 @@ class OfFile(Emitter[FileSource]):
         return Particles(position, self._births.momentum[rows], self._births.weight[rows], ids, species)
 
 
+class OfFunction(Emitter[FunctionSource]):
+    """Particles that are born as a Python function says."""
+
+    def __init__(self, source: FunctionSource, first: int) -> None:
+        super().__init__(source, first)
+        self._births = Births(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))  # those of the latest step
+
+    def numbers(self, span: Span) -> range:
+        return range(span.used, span.used + len(self._births.time))
+
+    def times(self, number: np.ndarray, span: Span) -> np.ndarray:
+        return self._births.time[number - span.used]
+
+    def largest_energy(self) -> float:
+        return 0.0
+
+    def newborn(self, comm: MPI.Comm, span: Span, species: SpeciesTable) -> Particles:
+        what = f"the function of {self.source.name or 'a source'} failed"
+        self._births = call_together(comm, lambda: self._called(span), InputError, what)
+        rows = slice(*share(comm, len(self._births.time)))
+        ids = self.first + span.used + np.arange(rows.start, rows.stop, dtype=np.int64)
+        position, momentum, weight = (
+            np.ascontiguousarray(of[rows]) for of in (self._births.position, self._births.momentum, self._births.weight)
+        )
+        return Particles(position, momentum, weight, ids, species)
+
+    def _called(self, span: Span) -> Births:
+        """Return what the function gives for a step. Raises ValueError for arrays of other shapes, or times outside of it."""
+        time, position, momentum, weight = (
+            np.asarray(of, dtype=float) for of in self.source.function(span.start, span.stop)
+        )
+        n = len(time)
+        if (time.shape, position.shape, momentum.shape, weight.shape) != ((n,), (n, 3), (n, 3), (n,)):
+            raise ValueError("it must return times (n,), places (n, 3), momenta (n, 3) and weights (n,)")
+        if not all(np.isfinite(of).all() for of in (time, position, momentum, weight)):
+            raise ValueError("it returned numbers that are not finite")
+        if n and not (span.start <= time.min() and time.max() < span.stop):
+            raise ValueError(f"it returned times of birth outside of the step, {span.start:g} to {span.stop:g} s")
+        return Births(time, position, momentum, weight)
+
+
 def emitters_of(comm: MPI.Comm, scene: Scene) -> tuple[Emitter, ...]:
     """Return the sources of a scene as steps use them. Collective; InputError on all ranks for a file that cannot be used."""
     firsts = first_ids(scene.sources)
@@ -325,6 +366,8 @@ def _emitter(comm: MPI.Comm, source: AnySource, first: int, scene: Scene) -> Emi
         case FileSource():
             from_file = partial(read, source.file, source.species, source.iteration, source.group)
             return OfFile(source, first, from_rank_0(comm, from_file, InputError))
+        case FunctionSource():
+            return OfFunction(source, first)
         case WallSource():
             return OfWall(source, first, scene)
         case GivenSource(unit_charge=None):

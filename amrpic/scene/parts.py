@@ -12,6 +12,7 @@ from ..mesh.domain import AXES
 from ..mesh.mirror import SIGNS
 from ..mesh.window import vector
 from .any_scene import AnyScene
+from .any_source import AnySource
 from .bunch_files import ArrayBunch, OpenPMDBunch
 from .bunch_shapes import GaussianBunch, HaloBunch, HollowBunch, KVBunch, ParabolicBunch, SphereBunch, WaterbagBunch
 from .bunches import DescribedBunch, LatticeBunch
@@ -25,7 +26,6 @@ from .particles import ParticlesSection
 from .refinement import Refinement
 from .schedule import Schedule
 from .solver_options import SolverSection
-from .sources import AnySource
 from .thermal_bunch import ThermalBunch
 
 OF_POINTS = ("faces", "points", "structure", "materials", "gravity", "floor_stiffness")  # keys of amrpic.mpm.Scene

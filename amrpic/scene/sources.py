@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Annotated, Literal, Self
+from typing import Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -73,6 +73,11 @@ class OfSpecies(Obstacle):
         """When the last particles are born, s, as far as the scene says so."""
         return -math.inf
 
+    @property
+    def reach(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Corners (2,) in m, along its own axes, of the part of its surface that emits; None for all of it."""
+        return None
+
     def surfaces(self, lower: Sequence[float], upper: Sequence[float]) -> list[tuple[int, np.ndarray, np.ndarray]]:
         """Return the number of the face of a domain of these corners that emits, and the corners (3,) of the part that does, m;
         none of a plane inside.
@@ -83,12 +88,9 @@ class OfSpecies(Obstacle):
         first, last = np.array(lower, dtype=float), np.array(upper, dtype=float)
         first[axis] = last[axis] = (lower, upper)[side][axis]
         across = [other for other in range(3) if other != axis]
-        spot: AnySpot | None = getattr(self, "spot", None)
-        if spot is not None:
-            first[across], last[across] = (
-                np.maximum(first[across], spot.reach[0]),
-                np.minimum(last[across], spot.reach[1]),
-            )
+        if self.reach is not None:
+            first[across] = np.maximum(first[across], self.reach[0])
+            last[across] = np.minimum(last[across], self.reach[1])
         return [(self.face_number, first, last)]
 
     def emits_at(self, axis: int) -> bool:
@@ -110,7 +112,7 @@ class Source(OfSpecies):
         if (self.face is None) == (self.plane is None):
             wrong = "is missing" if self.face is None else "is given as well as plane"
             raise complaint(wrong, "name one face, or give a plane", path="face", found=self.face or "nothing")
-        if self.plane is not None and self.spot is None:
+        if self.plane is not None and self.reach is None:
             raise complaint("is missing on a plane, which has no end", "add one", path="spot", found="nothing")
         if self.species.charge == 0:
             raise complaint("has no charge, by which sources count", "take a charged one", path="species", found="")
@@ -125,9 +127,20 @@ class Source(OfSpecies):
         return self
 
     @property
+    def reach(self) -> tuple[np.ndarray, np.ndarray] | None:
+        return None if self.spot is None else self.spot.reach
+
+    @property
     def emitted(self) -> AnyMomenta:
         """With which momenta particles are born."""
         return self.momenta
+
+    def born(self, u: np.ndarray) -> tuple[np.ndarray | None, np.ndarray]:
+        """Return places (2, n) in m along its own axes, None without a spot, and momenta (3, n) in kg m/s, along the normal
+        and across, for numbers (7, n) in (0, 1).
+        """
+        places = None if self.spot is None else self.spot.place(u[:2])
+        return places, self.emitted.momenta(u[2:5], self.species.mass)
 
     def frame(self, lower: tuple[float, ...], upper: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
         """Return the origin (3,) in m, and as rows (3, 3) unit vectors across and the normal, in a domain of these corners."""
@@ -400,7 +413,3 @@ class FileSource(OfSpecies):
 
 
 IDS = 2**48  # of a source
-AnySource = Annotated[
-    GivenSource | PhotoSource | FileSource | SpaceChargeLimitedSource | ThermionicSource | FieldSource,
-    Field(discriminator="process"),
-]

@@ -15,6 +15,7 @@ from pathlib import Path
 import example_pictures
 from amrpic.io import time_series
 from amrpic.results import curves
+from amrpic.view import emission
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES, PAGE, PICTURES = ROOT / "examples", ROOT / "docs" / "gallery.md", ROOT / "docs" / "pictures"
@@ -49,6 +50,11 @@ def plot(*options: str) -> Callable[[Path, Path], None]:
     return draw
 
 
+def currents(run: Path, picture: Path) -> None:
+    """Draw the currents of sources into a file."""
+    next(emission.figures(run))[1].savefig(picture, dpi=100)
+
+
 def curve(*labels: str) -> Callable[[Path, Path], None]:
     """Return what draws columns of the series by the time, named by their ordinates."""
     panels = [panel for panel in curves.BEAM if panel.label in labels]
@@ -75,6 +81,9 @@ SCENES = {
         "A bunch leaves a cathode",
         example_pictures.bunch_and_image,
         "charge and potential of the bunch after 40 steps in the plane y = 0, and below the plane those of its image",
+    ),
+    "diode": Shown(
+        "A planar diode", currents, "the current of the cathode: a sheet at first, then as space charge allows"
     ),
     "long_beam": Shown(
         "A long beam spreads",

@@ -329,7 +329,15 @@ BEAMS: Mapping[str, tuple[str, Callable[[Path], None]]] = {  # distribution, and
     "openpmd: pz not finite": ("openpmd", _beam(lambda group: _put(group, "momentum/z", NAN))),
     "openpmd: pz huge": ("openpmd", _beam(lambda group: _put(group, "momentum/z", FAR))),
     "openpmd: a negative weight": ("openpmd", _beam(lambda group: _put(group, "weighting", NAN[::-1] - 1))),
-    "openpmd: weights of zero": ("openpmd", _beam(lambda group: _put(group, "weighting", np.zeros(6)))),
+    "openpmd: momenta of macroparticles of no weight": (
+        "openpmd",
+        _beam(
+            lambda group: [
+                _put(group, "weighting", np.zeros(6)),
+                group["momentum"].attrs.update(macroWeighted=1, weightingPower=1.0),
+            ]
+        ),
+    ),
     "openpmd: a unit of text": ("openpmd", _beam(lambda group: group["position/x"].attrs.update(unitSI="m"))),
     "openpmd: a unit not finite": ("openpmd", _beam(lambda group: group["position/x"].attrs.update(unitSI=np.nan))),
     "openpmd: an iteration that is not there": ("openpmd', iteration=7, group='electron", beam),

@@ -16,6 +16,10 @@ from .images import mirrored
 from .setup import Setup
 from .state import State
 
+FAST = (
+    "particles move beside electrodes with more than 0.1 c, or so against each other, where the magnetic field of their images "
+    "counts, which is not known; leave the electrodes out, or give their field as an element"
+)
 FEW = 0.1  # share of the charge of a run that has no say in the frame any more where the frame of the rest does not fit it
 
 
@@ -47,10 +51,13 @@ def _frames(particles: Particles, last: Frames, lost: Particles | None, window: 
     if not motion.follows_fields:
         return ONE_FRAME
     bins = None if motion.energy_bins == "auto" else motion.energy_bins
+    choice = "lab" if setup.electrodes else motion.frame
     try:
-        frames = frames_of(comm, last.straight(particles), setup.scene.domain.value, motion.frame, bins, last)
+        frames = frames_of(comm, last.straight(particles), setup.scene.domain.value, choice, bins, last)
     except InputError:
         if particles.global_count(comm) > 1 and _share_left(particles, lost, setup) > FEW:
+            if setup.electrodes:
+                raise InputError(FAST) from None
             raise
         setup.remarks.remark(
             f"the particles that are left, one or at most {FEW:g} of the charge, have a mean momentum that fits no frame "

@@ -18,6 +18,7 @@ from ..stages.diagnostics import measure, quantities
 from ..units import Column, quantity
 from ..view.views import OVERVIEW
 from .beam_tables import BeamTables, Diagnostic
+from .currents import Currents, columns_of
 from .fills import Fills
 from .leapfrog import synchronized
 from .loss_files import write_losses, write_screens
@@ -58,6 +59,7 @@ class ParticleRecorder(Recorder[State]):
         self._residuals = self._open(RESIDUALS, HISTORY)
         self._sources = self._open(SOURCES, TABLE) if scene.sources else None
         self._since_sources = state.time  # s, of their latest row
+        self._currents = Currents(state, setup.electrodes)
         self._fills, self._beam = Fills(setup.remarks.remark), None
         if "series" in self._wanted:
             self._beam = BeamTables(setup.comm, state, scene, self._about, self._keep, own or {}, self._fills)
@@ -71,7 +73,7 @@ class ParticleRecorder(Recorder[State]):
             self._settle()
 
     def _columns(self) -> Sequence[Column]:
-        return quantities(self._scene.refinement.levels + 1)
+        return [*quantities(self._scene.refinement.levels + 1), *columns_of(self._setup.electrodes)]
 
     def _notes(self) -> Sequence[str]:
         return self._setup.remarks.notes
@@ -134,6 +136,7 @@ class ParticleRecorder(Recorder[State]):
             "regridded": int(state.regridded),
             "cycles": state.report.cycles,
             "residual": residuals[-1] if residuals else 0.0,
+            **self._currents.row(state),
         }
 
     def _add_history(self, step: int, now: float) -> None:
@@ -197,7 +200,7 @@ class ParticleRecorder(Recorder[State]):
         )
 
     def _write_losses(self, state: State) -> None:
-        write_losses(self._comm, state, self._scene, self._about)
+        write_losses(self._comm, state, self._scene, self._about, self._setup.electrodes)
         write_screens(self._comm, state, self._scene, self._about)
 
 

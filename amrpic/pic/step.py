@@ -35,7 +35,8 @@ def advance(state: State, setup: Setup) -> State:
     with setup.clock("migrate"):
         arrived = migrate(state, moved, born, setup)
     frames = next_frames(state, arrived.particles, arrived.lost.particles, setup)
-    beam = MeshedParticles(arrived.particles, state.hierarchy, frames, arrived.deposition)
+    drive = setup.drive(time, course.window, arrived.lost)
+    beam = MeshedParticles(arrived.particles, state.hierarchy, frames, arrived.deposition, drive=drive)
     beam = regrid_if_due(beam, state, setup)
     rho = deposit(beam, setup)
     solution = solve(beam, rho, state.solution, setup)
@@ -53,7 +54,8 @@ def begin(comm: MPI.Comm, scene: Scene, fields: Sequence[FieldFunction] = ()) ->
     base = make_base(setup.comm, scene)
     with setup.clock("beam"):
         arrived, start, setup = _made(base, course, setup)
-    beam = MeshedParticles(arrived.particles, base, first_frames(arrived.particles, setup))
+    frames, drive = first_frames(arrived.particles, setup), setup.drive(start, course.window, arrived.lost)
+    beam = MeshedParticles(arrived.particles, base, frames, drive=drive)
     beam = follow(beam, None, setup)
     rho = deposit(beam, setup)
     solution = solve(beam, rho, None, setup)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
-from ..errors import AmrpicError, SolverError
-from ..io import openpmd_meshes, openpmd_writer, vtkhdf_writer
+from ..errors import AmrpicError, OutputError, SolverError
+from ..io import openpmd_meshes, openpmd_writer, surface_files, vtkhdf_writer
 from ..io.checkpoint import Snapshot
 from ..io.time_series import Series
 from ..mesh.domain import AXES
 from ..mesh.field import Field, VectorField
+from ..parallel import together
 from ..particles.frame import LABORATORY
 from ..run.log import Log, step_line
 from ..run.recorder import MeshFields, Recorder
@@ -56,6 +57,10 @@ class ParticleRecorder(Recorder[State]):
         self._turned = False  # whether it was remarked that files show the mesh along other axes than its own
         scene = setup.scene
         super().__init__(setup.comm, scene, setup.clock, state, resumed, log, sum(state.seconds.values()))
+        if scene.electrodes and "fields" in self._wanted:
+            with together(setup.comm, OutputError):
+                if setup.comm.rank == 0:
+                    surface_files.write(scene.directory / surface_files.FILE, setup.electrodes, scene.domain.value)
         self._residuals = self._open(RESIDUALS, HISTORY)
         self._sources = self._open(SOURCES, TABLE) if scene.sources else None
         self._since_sources = state.time  # s, of their latest row

@@ -17,7 +17,7 @@ from ..run.recorder import MeshFields, Recorder
 from ..scene.scene import Scene
 from ..stages.diagnostics import measure, quantities
 from ..units import Column, quantity
-from ..view.views import OVERVIEW
+from ..view.views import OVERVIEW, WITH_ELECTRODES
 from .beam_tables import BeamTables, Diagnostic
 from .currents import Currents, columns_of
 from .fills import Fills
@@ -43,7 +43,6 @@ class ParticleRecorder(Recorder[State]):
 
     _scene: Scene
     line = staticmethod(step_line)
-    views = OVERVIEW
 
     def __init__(
         self,
@@ -54,6 +53,7 @@ class ParticleRecorder(Recorder[State]):
         log: Log = "print",
     ) -> None:
         self._setup = setup
+        self.views = WITH_ELECTRODES if setup.electrodes else OVERVIEW
         self._turned = False  # whether it was remarked that files show the mesh along other axes than its own
         scene = setup.scene
         super().__init__(setup.comm, scene, setup.clock, state, resumed, log, sum(state.seconds.values()))

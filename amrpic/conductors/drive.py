@@ -64,4 +64,5 @@ def _seen_from(window: Window, electrode: Electrode) -> Electrode:
 
 
 def _gained(electrode: Electrode, charge: float) -> Electrode:
-    return replace(electrode, charge=electrode.charge + charge) if electrode.floats and charge else electrode
+    floats = electrode.floats and charge
+    return replace(electrode, charge=float(electrode.charge or 0.0) + charge) if floats else electrode

@@ -20,6 +20,7 @@ from .frames import first_frames, next_frames
 from .initial_particles import make_bunches, outside, require_some_inside, start_of
 from .leapfrog import gather_and_push
 from .meshed import MeshedParticles, deposit
+from .metal_images import check_images
 from .setup import Setup, resolved, set_up
 from .solve import solve
 from .state import State
@@ -41,6 +42,7 @@ def advance(state: State, setup: Setup) -> State:
     rho = deposit(beam, setup)
     solution = solve(beam, rho, state.solution, setup)
     check_time_step(beam, solution, step, setup)
+    check_images(beam, solution, step, setup)
     staggered = gather_and_push(solution, beam.particles, setup.dt / 2, step, time, course, setup)
     # Boxes may be cut anew without another cell, as after a restart on other ranks.
     regridded = beam.hierarchy is not state.hierarchy and not beam.hierarchy.same_cells(state.hierarchy)
@@ -59,6 +61,7 @@ def begin(comm: MPI.Comm, scene: Scene, fields: Sequence[FieldFunction] = ()) ->
     beam = follow(beam, None, setup)
     rho = deposit(beam, setup)
     solution = solve(beam, rho, None, setup)
+    check_images(beam, solution, 0, setup)
     setup = with_time_step(setup, beam, solution, course)
     staggered = gather_and_push(solution, beam.particles, 0.0, 0, start, course, setup)
     records = arrived.lost, arrived.screens, arrived.tallies

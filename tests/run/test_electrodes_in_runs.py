@@ -23,6 +23,7 @@ from amrpic.units import ELEMENTARY_CHARGE, PROTON_MASS
 from rank_subsets import first_ranks, wait_quietly
 
 BALL = {"name": "ball", "shape": {"kind": "sphere", "centre": [0, 0, 8e-3], "radius": 5e-3}, "voltage": 100}
+FINE = {"lower": -0.02, "upper": 0.02, "cells": 40, "boundary": "dirichlet"}
 FREE = {"name": "free", "shape": {"kind": "sphere", "centre": [-0.01, 0, 0], "radius": 3e-3}, "charge": 1e-13}
 BEAM = {
     "distribution": "gaussian",
@@ -136,6 +137,42 @@ def test_hits_are_where_straight_ways_meet_the_surface(tmp_path):
     expected = np.where(hit == "ball", 8e-3 - np.sqrt(np.maximum(4e-6 - r**2, 0)), 0.015)
     assert place[:, 2] == pytest.approx(expected, abs=1e-9)
     assert incidence == pytest.approx(np.where(hit == "ball", np.arcsin(np.minimum(r / 2e-3, 1)), 0.0), abs=1e-4)
+
+
+def test_currents_are_those_of_shockley_and_ramo():
+    """Charge that moves by v induces -q φ₁ on an electrode whose potential is φ₁ with it at 1 V and all else at zero."""
+    simulation = Simulation(MPI.COMM_SELF, scene(electrodes=[{**BALL, "voltage": 0}], domain=FINE))
+    electrodes = [section.value for section in simulation.scene.electrodes]
+    unit = amrpic.PoissonSolver(simulation.hierarchy, electrodes=electrodes, tolerance=1e-10).unit_potential("ball")
+    charges, expected = [], []
+    for steps in (0, 3):
+        state = simulation.advance(steps)
+        charges.append(state.solution.charges["ball"])
+        expected.append(-(state.rho * unit).integral())
+    assert charges == pytest.approx(expected, rel=2e-3)
+    assert charges[1] - charges[0] == pytest.approx(expected[1] - expected[0], rel=5e-3)
+
+
+def test_electrodes_stay_in_the_laboratory_while_a_window_moves_on(tmp_path):
+    domain = {"lower": [-0.01, -0.01, -0.015], "upper": [0.01, 0.01, 0.015], "cells": [20, 20, 30], "boundary": "open"}
+    small = {"kind": "sphere", "centre": [2e-3, 0, 2e-3], "radius": 2e-3}
+    described = scene(
+        tmp_path,
+        domain=domain,
+        bunches=[{**BEAM, "centre": [0, 0, -5e-3], "sigma": 1e-3}],
+        electrodes=[{"name": "ball", "shape": small, "voltage": "50 V*cos(2*pi*5 MHz*t)"}],
+        motion={"kind": "leapfrog", "dt": 2e-9, "window": "reference"},
+        schedule={"steps": 10},
+    )
+    simulation = run(MPI.COMM_SELF, described)
+    state = simulation.state
+    assert state.window.origin[2] == pytest.approx(3e5 * 2e-8, rel=0.05)
+    volts = 50 * np.cos(2 * np.pi * 5e6 * state.time)
+    centre = np.array(small["centre"]) - state.window.origin
+    assert state.phi.sample([centre])[0] == pytest.approx(volts, rel=1e-6)
+    place = np.array(simulation.lost.particles.position)[simulation.lost.cause == simulation.lost.names.index("ball")]
+    assert len(place) > 20
+    assert np.linalg.norm(place - small["centre"], axis=1) == pytest.approx(2e-3, rel=1e-9)
 
 
 @pytest.mark.parametrize("electrodes", [[BALL, FREE], [wave(), FREE]], ids=["constant", "varies"])

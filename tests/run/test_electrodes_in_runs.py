@@ -77,6 +77,35 @@ def test_a_voltage_that_varies_gives_what_solves_at_each_time_give():
             assert (ours - other).max_abs() < 1e-6 * other.max_abs()
 
 
+def test_metal_is_cut_anew_on_a_mesh_that_follows_the_bunch():
+    """The ball is in a refined box that stays, the bunch in one that moves; the answer is that of a solver made for it."""
+    rule = {
+        "kind": "any",
+        "of": [
+            {"kind": "static", "boxes": [{"level": 1, "lower": [-8e-3, -8e-3, 0], "upper": [8e-3, 8e-3, 16e-3]}]},
+            {"kind": "charge-density", "relative": 0.2},
+        ],
+    }
+    simulation = Simulation(
+        MPI.COMM_SELF,
+        scene(
+            domain={**FINE, "cells": 32},
+            electrodes=[{**wave(), "shape": {"kind": "sphere", "centre": [0, 0, 8e-3], "radius": 4e-3}}],
+            bunches=[{**BEAM, "centre": [-7e-3, 0, -14e-3], "sigma": 1e-3}],
+            refinement={"levels": 1, "regrid_every": 4, "rule": rule},
+        ),
+    )
+    before = simulation.hierarchy
+    state = simulation.advance(6)
+    assert state.hierarchy is not before and state.hierarchy.levels == 2
+    electrodes = [section.value for section in simulation.scene.electrodes]
+    phi, report = amrpic.PoissonSolver(state.hierarchy, electrodes=electrodes, tolerance=1e-11).solve(
+        state.rho, time=state.time
+    )
+    assert (phi - state.phi).max_abs() < 1e-7 * phi.max_abs()
+    assert state.solution.charges == pytest.approx(report.charges, rel=1e-8)
+
+
 def test_charge_of_all_electrodes_and_walls_is_minus_that_of_the_beam_inside(tmp_path):
     """Gauss's law in a hollow block that holds a bunch, part of whose clouds lie in the metal."""
     hollow = {

@@ -86,6 +86,9 @@ output.format: 'silo'
 elements: 3 | [{kind='quad'}] | [{kind='quadrupole'}] | [{kind='uniform',electric=[0,0,nan]}]
 elements: [{kind='map',file='nowhere.h5'}] | [{kind='solenoid',field='1 m',length=1}]
 apertures: [{kind='square'}] | [{kind='round'}] | [{kind='round',radius=-1}] | [{kind='round',radius='1 s'}]
+electrodes: 3 | [{}] | [{name='a',voltage=1}] | [{name='a',voltage=1,shape={kind='ball',radius=1}}]
+electrodes: [{name='a',shape={kind='sphere',radius=1}}] | [{name='a',voltage='1 A',shape={kind='sphere',radius=1}}]
+electrodes: [{name='a',voltage='1/t',shape={kind='sphere',radius=1}}] | [{name='a',voltage=1,shape={kind='union',of=[]}}]
 screens: [{name='',z=0}] | [{name='a'}] | [{name='a/b',z=0}] | [{name='a',z='1 T'}] | [{name='a',z=nan}]
 diagnostics.every: -1 | 0.5
 diagnostics.slices: -1 | 'ten'

@@ -277,6 +277,11 @@ def _put(group: h5py.Group, name: str, value: Any) -> None:
     group[name] = value
 
 
+def _put_macroparticles_of_no_weight(group: h5py.Group) -> None:
+    _put(group, "weighting", np.zeros(6))
+    group["momentum"].attrs.update(macroWeighted=1, weightingPower=1.0)
+
+
 NAN, FAR = np.array([0, 0, 0, np.nan, 0, 0]), np.full(6, 1e300)
 BEAMS: Mapping[str, tuple[str, Callable[[Path], None]]] = {  # distribution, and what writes the file of a bunch
     "npz: missing": ("arrays", lambda path: None),
@@ -334,12 +339,8 @@ BEAMS: Mapping[str, tuple[str, Callable[[Path], None]]] = {  # distribution, and
     "openpmd: a negative weight": ("openpmd", _beam(lambda group: _put(group, "weighting", NAN[::-1] - 1))),
     "openpmd: momenta of macroparticles of no weight": (
         "openpmd",
-        _beam(
-            lambda group: [
-                _put(group, "weighting", np.zeros(6)),
-                group["momentum"].attrs.update(macroWeighted=1, weightingPower=1.0),
-            ]
-        ),
+        _beam(_put_macroparticles_of_no_weight),
+    ),
     ),
     "openpmd: a unit of text": ("openpmd", _beam(lambda group: group["position/x"].attrs.update(unitSI="m"))),
     "openpmd: a unit not finite": ("openpmd", _beam(lambda group: group["position/x"].attrs.update(unitSI=np.nan))),

@@ -341,7 +341,6 @@ BEAMS: Mapping[str, tuple[str, Callable[[Path], None]]] = {  # distribution, and
         "openpmd",
         _beam(_put_macroparticles_of_no_weight),
     ),
-    ),
     "openpmd: a unit of text": ("openpmd", _beam(lambda group: group["position/x"].attrs.update(unitSI="m"))),
     "openpmd: a unit not finite": ("openpmd", _beam(lambda group: group["position/x"].attrs.update(unitSI=np.nan))),
     "openpmd: an iteration that is not there": ("openpmd', iteration=7, group='electron", beam),

@@ -16,7 +16,7 @@ from ..io import integrity
 from ..parallel import from_rank_0
 from ..scene.complaints import RefusedScene
 from .arguments import Commands, command, count, scene_arguments, scene_of
-from .methods import check_scene
+from .methods import check_scene, metal_of
 
 
 def add(commands: Commands) -> None:
@@ -62,5 +62,5 @@ def _of_scene(chosen: argparse.Namespace) -> Found:
     except RefusedScene as refused:
         return Found(BAD_INPUT, notes=refused.problems)
     check_scene(scene, chosen.ranks)
-    text = scene.to_toml() if chosen.resolved else scene.summary()
-    return Found(0, [text], [f"note: {remark}" for remark in scene.remarks()])
+    lines = [scene.to_toml()] if chosen.resolved else [scene.summary(), *metal_of(scene)]
+    return Found(0, lines, [f"note: {remark}" for remark in scene.remarks()])

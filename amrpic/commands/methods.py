@@ -9,6 +9,7 @@ from mpi4py import MPI
 
 from ..errors import SceneError
 from ..pic import limits
+from ..pic.cut_metal import describe_scene
 from ..pic.simulation import Simulation
 from ..run.life import Run
 from ..scene.any_scene import AnyScene
@@ -50,6 +51,11 @@ def check_scene(scene: AnyScene, ranks: int) -> None:
 
     assert isinstance(scene, PointsScene)
     check_points(scene)
+
+
+def metal_of(scene: AnyScene) -> list[str]:
+    """Return what the base level cuts of the electrodes of a scene, a line for each. Raises InputError."""
+    return describe_scene(scene) if isinstance(scene, Scene) else []
 
 
 def scene_of_method(method: str | None) -> tuple[type[AnyScene], str]:

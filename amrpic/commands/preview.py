@@ -24,6 +24,7 @@ from ..mesh.window import Window
 from ..particles.particles import Particles, concatenate
 from ..pic.adapt import follow, make_base
 from ..pic.course import Course
+from ..pic.cut_metal import describe
 from ..pic.forecast import forecast
 from ..pic.frames import first_frames
 from ..pic.initial_particles import make_bunches, start_of
@@ -98,6 +99,7 @@ def preview(comm: MPI.Comm, scene: Scene, ranks: int, seconds: float = 0.0) -> s
         [scene.summary()],
         _levels(particles_per_cell),
         _bunches(comm, scene, bunches[1:], beam.hierarchy),
+        describe(setup.electrodes, beam.hierarchy),
         _memory(beam, count + born, ranks, setup),
         _time(comm, scene, beam.hierarchy, ranks, made_in, seconds) if seconds > 0 else [],
         [f"note: {note}" for note in [*scene.remarks(), *setup.remarks.warnings, *setup.remarks.notes, *notes]],
@@ -291,9 +293,13 @@ def _pictures(scene: Scene, rho: Field, start: float, window: Window) -> list[Pa
     """Write mesh and charge density as a field file, draw them along the three axes, and return the paths. Collective."""
     path = scene.directory / FILE
     vtkhdf_writer.write(path, rho.hierarchy, {"rho": rho}, 0, start, about(scene), writers_of(scene), window)
-    dump = LiveDump(path, rho.hierarchy, {"rho": rho}, 0, start, window=window)
+    dump = LiveDump(path, rho.hierarchy, {"rho": rho}, 0, start, about(scene).scene_text, window)
+    kinds = ("projection", "slice") if scene.electrodes else ("projection",)
     with progress("drawing pictures"):
-        return [path, *draw(dump, path.parent, [View("rho", "projection", axis) for axis in range(len(AXES))])]
+        return [
+            path,
+            *draw(dump, path.parent, [View("rho", kind, axis) for kind in kinds for axis in range(len(AXES))]),
+        ]
 
 
 # ---- the command ----

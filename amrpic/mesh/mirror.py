@@ -78,4 +78,17 @@ class Mirror:
                     f"mirror.{name} lies {half_cells / 2:.6g} base cells outside the face; move it, so that they are whole "
                     "or half ones"
                 )
+        if None not in self.planes and leaves_no_way_round(domain, self.axis):
+            sides = " or ".join(sorted(sides_along(domain, self.axis)))
+            return f"a mirror has two planes and all sides are {sides}: images add up for ever; make a side dirichlet or open"
         return None
+
+
+def sides_along(domain: Domain, axis: int) -> set[str]:
+    """Return the kinds of the faces along an axis."""
+    return {kind for side_axis in range(3) if side_axis != axis for kind in domain.boundary[side_axis]}
+
+
+def leaves_no_way_round(domain: Domain, axis: int) -> bool:
+    """Whether a current along an axis that ends at a wall repeats without end beside itself: it has no magnetic field."""
+    return sides_along(domain, axis) <= {"neumann", "periodic"}

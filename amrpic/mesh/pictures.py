@@ -35,6 +35,7 @@ LEVEL_COLOURS = ("#9a9a9a", "#ffffff", "#7fe3ff", "#ffb3de", "#b7f58f", "#ffe08a
 ONE_SIGN = colormaps["inferno"]
 BOTH_SIGNS = LinearSegmentedColormap.from_list("both signs", ["#b9e3ff", "#3d8bc9", "#0b0b14", "#c9553d", "#ffd0b9"])
 OF_KINDS, OF_NONE = colormaps["tab10"], "#808080"  # of what has a number; repeated where there are more
+METAL, OUTLINE = (0.55, 0.58, 0.62, 1.0), (1.0, 1.0, 1.0, 1.0)  # of electrodes and of their surfaces
 DECADES = 5  # that a logarithmic scale shows
 DPI = 150
 
@@ -110,11 +111,13 @@ def plane(
     boxes: bool = True,
     level: int | None = None,
     kinds: Sequence[str] = (),
+    metal: tuple[Array, Array] | None = None,
 ) -> Picture:
     """Return a picture of a raster of fields, of the part of it that holds values, with the boxes over it if they are wanted.
 
     `level` is the only one that the raster shows, None: all. `kinds`, if there are any, are what values are the numbers of; -1
-    is none of them. Raises InputError for a scale that does not exist.
+    is none of them. `metal`: which pixels, as many as there may be, lie in electrodes, and through which their surfaces go.
+    Raises InputError for a scale that does not exist.
     """
     if scale not in SCALES:
         raise InputError(f"{scale!r} is no scale of colours; use one of {', '.join(SCALES)}")
@@ -134,6 +137,8 @@ def plane(
         interpolation="nearest",
         aspect="equal" if _moderate(extent) else "auto",
     )
+    if metal is not None:
+        _draw_metal(panel, metal, corners)
     panel.set_facecolor("#808080")  # where a level has no cells
     if boxes:
         _draw_boxes(panel, fields, raster, length, level)
@@ -162,6 +167,16 @@ def plane(
             framealpha=1,
         )
     return figure
+
+
+def _draw_metal(panel: Axes, metal: tuple[Array, Array], corners: Array) -> None:
+    """Draw electrodes: what lies in them in one colour, and their surfaces in another."""
+    inside, surface = metal
+    colours = np.zeros((*inside.shape, 4))
+    colours[inside] = METAL
+    colours[surface] = OUTLINE
+    extent = (corners[0, 0], corners[0, 1], corners[1, 0], corners[1, 1])
+    panel.imshow(np.swapaxes(colours, 0, 1), origin="lower", extent=extent, aspect=panel.get_aspect())
 
 
 def _extent(raster: Raster) -> Array:

@@ -13,7 +13,7 @@ from mpi4py import MPI
 
 from ..errors import InputError
 from ..mesh.domain import AXES, Domain
-from ..mesh.mirror import SIGNS, Mirror
+from ..mesh.mirror import SIGNS, Mirror, leaves_no_way_round, sides_along
 from ..mesh.window import vector
 from .arrays import empty_columns
 from .frame import LABORATORY, SLOW, STATIC, Frame
@@ -218,7 +218,7 @@ def _require_slow_in_laboratory(
     comm: MPI.Comm, particles: Particles, domain: Domain, choice: str, frames: Frames, flows: Sequence[Flow]
 ) -> None:
     """Raise InputError on all ranks if the laboratory is chosen for charge whose magnetic field counts."""
-    if _leaves_no_way_round(domain, frames.axis):
+    if _walls(domain, frames.axis) and leaves_no_way_round(domain, frames.axis):
         return  # no other frame is better
     if choice == "lab" and (error := max(frames.error - frames.across, flows[0].beta @ flows[0].beta)) > SLOW:
         speed = math.sqrt(left(comm, particles, LABORATORY).square.sum())
@@ -244,15 +244,6 @@ def _off_axis(flow: Flow, axis: int) -> float:
     return float(across / abs(flow.beta[axis]) / math.sqrt(flow.per_gamma_square)) if across > 0 else 0.0
 
 
-def _sides(domain: Domain, axis: int) -> set[str]:
-    return {kind for side_axis in range(3) if side_axis != axis for kind in domain.boundary[side_axis]}
-
-
-def _leaves_no_way_round(domain: Domain, axis: int) -> bool:
-    """Whether the current along an axis has no magnetic field: it ends at a wall, and repeats without end beside itself."""
-    return bool(_walls(domain, axis)) and _sides(domain, axis) <= {"neumann", "periodic"}
-
-
 def _walls(domain: Domain, axis: int) -> list[str]:
     return [kind for kind in domain.boundary[axis] if kind in SIGNS]
 
@@ -275,8 +266,8 @@ def _require_along(
         if not fast:
             continue
         speed = max(abs(flows[n].beta[axis]) for n in fast)
-        if _leaves_no_way_round(domain, axis):
-            sides = " or ".join(sorted(_sides(domain, axis)))
+        if _walls(domain, axis) and leaves_no_way_round(domain, axis):
+            sides = " or ".join(sorted(sides_along(domain, axis)))
             raise InputError(
                 f"a face across the motion along {AXES[axis]} is {_walls(domain, axis)[0]} and all sides are {sides}, "
                 f"round which particles of {speed:.3g} c have no magnetic field for their current; make a side "

@@ -32,8 +32,8 @@ NOTHING = Encounters(NONE, NONE, np.zeros(0), np.zeros((0, 3)), NONE)
 
 
 def causes(scene: Scene) -> tuple[str, ...]:
-    """Return the names of all where particles of a scene are lost: faces of the domain, then apertures."""
-    return (*FACES, *aperture_names(scene.apertures))
+    """Return the names of all where particles of a scene are lost: faces of the domain, then apertures and electrodes."""
+    return (*FACES, *aperture_names(scene.apertures), *(electrode.name for electrode in scene.electrodes))
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,17 +95,18 @@ def migrate(state: State, moved: Particles, born: Born | None, setup: Setup) -> 
     """Return the particles of a state where they have `moved`, those that were `born` since, and its records of losses and
     screens with those of the flight.
 
-    Collective. Each flight is a straight line in the laboratory; those that touch an aperture end there. The deposit of those
-    that stay on their rank, if it `deposits_meanwhile`, is returned as it has begun.
+    Collective. Each flight is a straight line in the laboratory; those that touch an aperture or an electrode end there. The
+    deposit of those that stay on their rank, if it `deposits_meanwhile`, is returned as it has begun.
     """
     scene, hierarchy, window = setup.scene, state.hierarchy, state.staggered.course.window
     start, tallies = state.particles.position, state.tallies
     if born is not None:
         start, moved, tallies = np.concatenate([start, born.start]), concatenate([moved, born.particles]), born.tallies
     flights = Flights(start, moved.position, hierarchy.domain, state.window, window)
-    if (scene.apertures or scene.screens) and any(hierarchy.domain.periodic):
+    if (scene.apertures or scene.electrodes or scene.screens) and any(hierarchy.domain.periodic):
         _require_followable(setup.comm, flights)
-    stopped = flights.losses(setup.apertures) if scene.apertures else NOTHING
+    stops = scene.apertures or scene.electrodes
+    stopped = flights.losses(setup.apertures, setup.electrodes) if stops else NOTHING
     particles, outside, missing, deposition = _migrated(state, moved, stopped.flight, setup)
     lost = replace(stopped, what=stopped.what + len(FACES))
     if len(outside) > 0:

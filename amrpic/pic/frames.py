@@ -5,10 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from mpi4py import MPI
 
 from ..errors import InputError
+from ..mesh.domain import Domain
 from ..mesh.window import AT_REST, Window, part_of, vector
 from ..particles.energy_bins import ONE_FRAME, Frames, frames_of
+from ..particles.frame import LABORATORY
 from ..particles.motion_of_charge import charges
 from ..particles.particles import Particles
 from .image_forces import frames_with_images
@@ -48,7 +51,9 @@ def _frames(particles: Particles, last: Frames, lost: Particles | None, window: 
         return ONE_FRAME
     bins = None if motion.energy_bins == "auto" else motion.energy_bins
     try:
-        frames = frames_of(comm, last.straight(particles), setup.scene.domain.value, motion.frame, bins, last)
+        with_momenta = comm, last.straight(particles), setup.scene.domain.value
+        frames = _slow(*with_momenta, last) if setup.electrodes else None
+        frames = frames or frames_of(*with_momenta, motion.frame, bins, last)
     except InputError:
         if particles.global_count(comm) > 1 and _share_left(particles, lost, setup) > FEW:
             raise
@@ -60,7 +65,22 @@ def _frames(particles: Particles, last: Frames, lost: Particles | None, window: 
     else:
         setup.remarks.on_frames(frames, motion)
         frames = replace(frames, turn=last.turn)
+    if any(electrode.floats for electrode in setup.electrodes) and frames.only != LABORATORY:
+        raise InputError(
+            "particles faster than 0.1 c fly beside an electrode that floats, whose voltage in their field is not known; "
+            "give it a voltage"
+        )
     return mirrored(frames, last, setup.scene, window)
+
+
+def _slow(comm: MPI.Comm, particles: Particles, domain: Domain, last: Frames) -> Frames | None:
+    """Return the laboratory as the one frame of particles beside electrodes, whose images there are at rest; None where the
+    magnetic field of the particles counts. Collective.
+    """
+    try:
+        return frames_of(comm, particles, domain, "lab", 1, last)
+    except InputError:
+        return None
 
 
 def _share_left(particles: Particles, lost: Particles | None, setup: Setup) -> float:

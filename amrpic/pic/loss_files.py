@@ -2,29 +2,39 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from mpi4py import MPI
 
+from ..conductors.hits import first_hits
 from ..io import openpmd_writer, time_series
 from ..io.provenance import Provenance
 from ..io.writer_ranks import writers_of
 from ..results.run_results import LOSSES
+from ..scene.electrodes import Electrode
 from ..scene.scene import Scene
 from ..stages.loss_map import COLUMNS, loss_map
+from .records import Record
 from .state import State
 
 LOSS_MAP = "losses.csv"
+NEAR = 1e-9  # of coordinates: where the surface is asked on both sides of a place on it
 BINS = 100  # of the domain, if the scene gives no length
 
 
-def write_losses(comm: MPI.Comm, state: State, scene: Scene, about: Provenance) -> None:
-    """Write the losses so far, if there are any or apertures that they could be at. Collective; OutputError on all ranks."""
+def write_losses(
+    comm: MPI.Comm, state: State, scene: Scene, about: Provenance, electrodes: Sequence[Electrode] = ()
+) -> None:
+    """Write the losses so far, if there are any, or apertures and electrodes that they could be at. Collective; OutputError on
+    all ranks."""
     lost, domain = state.lost, scene.domain
-    if not scene.apertures and lost.particles.global_count(comm) == 0:
+    if not scene.apertures and not scene.electrodes and lost.particles.global_count(comm) == 0:
         return
     columns = {"time": lost.time, "direction": lost.direction, "particleStatus": lost.cause + openpmd_writer.DEAD}
+    if electrodes:
+        columns["incidence"] = incidence(lost, electrodes)
     path = scene.directory / LOSSES
     openpmd_writer.write(
         comm,
@@ -41,6 +51,22 @@ def write_losses(comm: MPI.Comm, state: State, scene: Scene, about: Provenance) 
     width = scene.diagnostics.loss_bin or (upper - lower) / BINS
     rows = loss_map(comm, lost.particles, lost.cause, lost.names, lower, upper, width)
     time_series.write(comm, scene.directory / LOSS_MAP, COLUMNS, rows, about)
+
+
+def incidence(lost: Record, electrodes: Sequence[Electrode]) -> np.ndarray:
+    """Return the angle (n,) between the momentum of each particle and the normal of the electrode that it hit, rad; nan of
+    others."""
+    out = np.full(len(lost), np.nan)
+    place, momentum = np.array(lost.particles.position), np.array(lost.particles.momentum)
+    for electrode in electrodes:
+        hit = np.flatnonzero(lost.cause == (lost.names.index(electrode.name) if electrode.name in lost.names else -1))
+        size = np.abs(place[hit]).max(initial=0.0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            step = NEAR * size * momentum[hit] / np.linalg.norm(momentum[hit], axis=1)[:, None]
+        known = np.isfinite(step).all(axis=1)
+        hits = first_hits([electrode], (place[hit] - step)[known], (place[hit] + step)[known])
+        out[hit[known][hits.segment]] = np.arccos(np.clip(hits.cosine, 0.0, 1.0))
+    return out
 
 
 def write_screens(comm: MPI.Comm, state: State, scene: Scene, about: Provenance) -> None:

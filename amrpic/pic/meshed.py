@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ..conductors.drive import NO_ELECTRODES, Drive
 from ..mesh.field import Field
 from ..mesh.hierarchy import Hierarchy
 from ..particles.energy_bins import Frames
@@ -24,12 +25,13 @@ class MeshedParticles:
     deposition: Deposition | None = None  # that has begun
     rho: Field | None = None  # that a rule of refinement asked for, C/m³
     solution: Solution | None = None  # likewise
+    drive: Drive = NO_ELECTRODES  # electrodes at the time
 
     def on(self, hierarchy: Hierarchy, setup: Setup) -> MeshedParticles:
         """Return the same particles on another hierarchy. Collective."""
         with setup.clock("migrate"):
             particles, _ = migrate(self.particles, hierarchy, shared_out_by_work(self.particles, hierarchy))
-        return MeshedParticles(particles, hierarchy, self.frames)
+        return MeshedParticles(particles, hierarchy, self.frames, drive=self.drive)
 
 
 def deposit(beam: MeshedParticles, setup: Setup) -> Field:

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
-from ..errors import AmrpicError, SolverError
-from ..io import openpmd_meshes, openpmd_writer, time_series, vtkhdf_writer
+from ..errors import AmrpicError, OutputError, SolverError
+from ..io import openpmd_meshes, openpmd_writer, surface_files, time_series, vtkhdf_writer
 from ..io.checkpoint import Snapshot
 from ..io.time_series import Series
 from ..mesh.domain import AXES
 from ..mesh.field import Field, VectorField
+from ..parallel import together
 from ..particles.frame import LABORATORY
 from ..run.log import Log, step_line
 from ..run.recorder import MeshFields, Recorder
 from ..scene.scene import Scene
 from ..stages.diagnostics import measure, quantities
 from ..units import Column, quantity
-from ..view.views import OVERVIEW
+from ..view.views import OVERVIEW, WITH_ELECTRODES
 from . import emission_map
 from .beam_tables import BeamTables, Diagnostic
+from .currents import Currents, columns_of
 from .fills import Fills
 from .leapfrog import synchronized
 from .loss_files import write_losses, write_screens
@@ -42,7 +44,6 @@ class ParticleRecorder(Recorder[State]):
 
     _scene: Scene
     line = staticmethod(step_line)
-    views = OVERVIEW
 
     def __init__(
         self,
@@ -53,12 +54,18 @@ class ParticleRecorder(Recorder[State]):
         log: Log = "print",
     ) -> None:
         self._setup = setup
+        self.views = WITH_ELECTRODES if setup.electrodes else OVERVIEW
         self._turned = False  # whether it was remarked that files show the mesh along other axes than its own
         scene = setup.scene
         super().__init__(setup.comm, scene, setup.clock, state, resumed, log, sum(state.seconds.values()))
+        if scene.electrodes and "fields" in self._wanted:
+            with together(setup.comm, OutputError):
+                if setup.comm.rank == 0:
+                    surface_files.write(scene.directory / surface_files.FILE, setup.electrodes, scene.domain.value)
         self._residuals = self._open(RESIDUALS, HISTORY)
         self._sources = self._open(SOURCES, TABLE) if scene.sources else None
         self._since_sources = state.time  # s, of their latest row
+        self._currents = Currents(state, setup.electrodes)
         self._fills, self._beam = Fills(setup.remarks.remark), None
         if "series" in self._wanted:
             self._beam = BeamTables(setup.comm, state, scene, self._about, self._keep, own or {}, self._fills)
@@ -72,7 +79,7 @@ class ParticleRecorder(Recorder[State]):
             self._settle()
 
     def _columns(self) -> Sequence[Column]:
-        return quantities(self._scene.refinement.levels + 1)
+        return [*quantities(self._scene.refinement.levels + 1), *columns_of(self._setup.electrodes)]
 
     def _notes(self) -> Sequence[str]:
         return self._setup.remarks.notes
@@ -139,6 +146,7 @@ class ParticleRecorder(Recorder[State]):
             "regridded": int(state.regridded),
             "cycles": state.report.cycles,
             "residual": residuals[-1] if residuals else 0.0,
+            **self._currents.row(state),
         }
 
     def _add_history(self, step: int, now: float) -> None:
@@ -202,7 +210,7 @@ class ParticleRecorder(Recorder[State]):
         )
 
     def _write_losses(self, state: State) -> None:
-        write_losses(self._comm, state, self._scene, self._about)
+        write_losses(self._comm, state, self._scene, self._about, self._setup.electrodes)
         write_screens(self._comm, state, self._scene, self._about)
 
 

@@ -68,6 +68,7 @@ FOLLOWED = (
     "solver",
     "motion",
     "apertures",
+    "electrodes",
     "screens",
 )
 
@@ -180,20 +181,21 @@ def _state(setup: Setup, held: Snapshot, stored: Hierarchy, hierarchy: Hierarchy
     if hierarchy is not stored and not another:
         fields = {name: carry_over(field, hierarchy) for name, field in fields.items()}
     course = Course.from_dict(extra["course"]).on_base_of(setup.scene)
+    step, time = held.header.step, held.header.time
+    lost, screens = (_recorded(held.tables[of], species, extra["names"][of]) for of in ("lost", "screens"))
+    drive = setup.solvers.drive = setup.drive(time, course.window, lost)
     last = _solution(setup, fields, extra)
-    beam, solution = MeshedParticles(particles, hierarchy, last.frames), last
+    beam, solution = MeshedParticles(particles, hierarchy, last.frames, drive=drive), last
     if another:
         beam = replace(beam, frames=mirrored(last.frames, last.frames, setup.scene, course.window))
         beam = follow(beam, last, setup)
         solution = solve(beam, deposit(beam, setup), last, setup)
     else:
         solution = with_layers(solution, particles, setup)
-    lost, screens = (_recorded(held.tables[of], species, extra["names"][of]) for of in ("lost", "screens"))
     if held.header.about.scene["motion"].get("dt") == "auto" and math.isnan(setup.dt):
         setup = replace(setup, dt=extra["dt"])
     if setup.dt != extra["dt"]:
         setup = with_time_step(setup, beam, solution, course)
-    step, time = held.header.step, held.header.time
     staggered = gather_and_push(solution, beam.particles, lag, step, time, course, setup)
     spent = setup.clock.take()
     tallies = Tallies.of_scene(setup.scene, extra.get("sources", ()))

@@ -11,21 +11,26 @@ import numpy as np
 from mpi4py import MPI
 
 from .. import _native
+from ..conductors.drive import NO_ELECTRODES, Drive
 from ..errors import InputError
 from ..external import ExternalFields, Maps, read_maps
+from ..mesh.window import Window
 from ..parallel import from_rank_0, own
 from ..particles.clouds import EQUAL_PARTICLES, PAYING, Clouds, compensation_pays, matched_pays
 from ..particles.particles import Particles
 from ..run.clock import Clock
+from ..scene.electrodes import Electrode
 from ..scene.elements import MapElement
 from ..scene.scene import Scene
 from ..space_charge.solvers import Solvers
 from ..stages.diagnostics import moments
 from ..stages.encounters import native_aperture
+from .electrodes import collected, electrodes_of
 from .emitters import Emitter, emitters_of
 from .emitting_walls import EmittingWalls
 from .field_functions import FieldFunction, FieldFunctions
 from .movers import Mover, mover_of
+from .records import Record
 from .remarks import Remarks
 
 
@@ -41,6 +46,7 @@ class Setup:
     external: ExternalFields  # of the scene's elements
     fields: FieldFunctions  # from Python
     apertures: list[_native.Aperture]
+    electrodes: tuple[Electrode, ...]  # in the laboratory
     move: Mover
     solvers: Solvers
     emitters: tuple[Emitter, ...]  # the scene's sources
@@ -56,11 +62,16 @@ class Setup:
             self.scene.particles.clouds, kernels="kokkos" if self.scene.solver.backend == "kokkos" else "vectors"
         )
 
+    def drive(self, time: float, window: Window, lost: Record) -> Drive:
+        """Return the electrodes at a time, s, as a window shows them, with the charge of the `lost` particles. Collective."""
+        if not self.electrodes:
+            return NO_ELECTRODES
+        return Drive.of(self.electrodes, time, window, collected(self.comm, lost, self.electrodes))
+
     @property
     def needs_balance(self) -> bool:
         """Whether a net charge has no potential."""
-        scene = self.scene
-        return scene.domain.value.singular and scene.solver.screening == 0 and scene.background == "none"
+        return self.scene.fixes_no_potential and self.scene.background == "none"
 
 
 def set_up(comm: MPI.Comm, scene: Scene, fields: Sequence[FieldFunction] = ()) -> Setup:
@@ -75,6 +86,7 @@ def set_up(comm: MPI.Comm, scene: Scene, fields: Sequence[FieldFunction] = ()) -
         ExternalFields.of_scene(scene, _maps(comm, scene)),
         FieldFunctions(comm, fields),
         [native_aperture(aperture) for aperture in scene.apertures],
+        electrodes_of(comm, scene),
         mover_of(scene),
         Solvers(
             scene.solver,

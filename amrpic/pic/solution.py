@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,6 +12,7 @@ from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..particles.energy_bins import ONE_FRAME, Frames
 from ..particles.frame import Frame
+from ..space_charge.solvers import Potential
 from ..stages.poisson import SolveReport
 from ..stages.wall_layer import WallLayer
 from ..units import SPEED_OF_LIGHT
@@ -34,8 +35,8 @@ class Solution:
     parts: tuple[Field, ...] = ()  # φ of each bin, if there are more than one, V
     magnetic: VectorField | None = None  # T, if there are more bins than one; without that of `images`
     before: Field | None = None  # φ of the step before on this mesh, where the next solve starts from both, V
-    walls: tuple[Field, VectorField] | None = (
-        None  # φ and E of what walls hold, where those above are without: see `Solvers.walls`
+    walls: Potential | None = (
+        None  # of what walls and electrodes hold, where those above are without: see `Solvers.walls`
     )
     images: Solution | None = None  # of the images of the charge in walls across its motion, which move against it
     layers: Mapping[int, WallLayer] = field(default_factory=dict)  # at walls that emit, by the number of their face
@@ -66,10 +67,22 @@ class Solution:
         return out
 
     @property
-    def _beside(self) -> list[tuple[Field, VectorField]]:
+    def _beside(self) -> list[Potential]:
         """φ and E of what is not the charge itself."""
-        of_images = [] if self.images is None else [(self.images.phi, self.images.efield)]
+        of_images = [] if self.images is None else [Potential(self.images.phi, self.images.efield)]
         return of_images if self.walls is None else [self.walls, *of_images]
+
+    @property
+    def charges(self) -> dict[str, float]:
+        """Charge of each electrode, C."""
+        beside = {} if self.walls is None else self.walls.charges
+        return {name: charge + beside.get(name, 0.0) for name, charge in self.report.charges.items()}
+
+    @property
+    def voltages(self) -> dict[str, float]:
+        """Voltage of each electrode, V."""
+        beside = {} if self.walls is None else self.walls.voltages
+        return {name: volts + beside.get(name, 0.0) for name, volts in self.report.voltages.items()}
 
     @property
     def guess(self) -> Field:
@@ -103,7 +116,7 @@ def superposed(
     rho: Field,
     parts: Sequence[Part],
     frames: Frames,
-    walls: tuple[Field, VectorField] | None = None,
+    walls: Potential | None = None,
 ) -> Solution:
     """Return the sum of what was solved for each bin, beside the field of what walls hold."""
     hierarchy = rho.hierarchy
@@ -115,7 +128,10 @@ def superposed(
         for total, component in zip(electric.components, efield.components, strict=True):
             _add(total, 1.0, component)
         add_magnetic(magnetic, efield, frame.beta)
-    report = max((of_part[3] for of_part in parts), key=lambda report: report.cycles)
+    reports = [of_part[3] for of_part in parts]
+    report = max(reports, key=lambda report: report.cycles)
+    charges = {name: sum(each.charges[name] for each in reports) for name in report.charges}
+    report = replace(report, charges=charges)
     return Solution(rho, phi, electric, report, frames, tuple(of_part[1] for of_part in parts), magnetic, walls=walls)
 
 

@@ -32,6 +32,7 @@ def solve(beam: MeshedParticles, rho: Field, last: Solution | None, setup: Setup
     if beam.solution is not None:
         return beam.solution
     setup.solvers.keep(beam.frames)
+    setup.solvers.drive = beam.drive
     # Σ |w q|, C, where a net charge would have no solution
     deposited = global_sum(setup.comm, charges(beam.particles).sum()) if setup.needs_balance else 0.0
     if beam.frames.only != LABORATORY:

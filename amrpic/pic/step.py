@@ -20,6 +20,7 @@ from .frames import first_frames, next_frames
 from .initial_particles import make_bunches, outside, require_some_inside, start_of
 from .leapfrog import gather_and_push
 from .meshed import MeshedParticles, deposit
+from .metal_images import check_images
 from .setup import Setup, resolved, set_up
 from .solve import solve
 from .state import State
@@ -35,11 +36,13 @@ def advance(state: State, setup: Setup) -> State:
     with setup.clock("migrate"):
         arrived = migrate(state, moved, born, setup)
     frames = next_frames(state, arrived.particles, arrived.lost.particles, setup)
-    beam = MeshedParticles(arrived.particles, state.hierarchy, frames, arrived.deposition)
+    drive = setup.drive(time, course.window, arrived.lost)
+    beam = MeshedParticles(arrived.particles, state.hierarchy, frames, arrived.deposition, drive=drive)
     beam = regrid_if_due(beam, state, setup)
     rho = deposit(beam, setup)
     solution = solve(beam, rho, state.solution, setup)
     check_time_step(beam, solution, step, setup)
+    check_images(beam, solution, step, setup)
     staggered = gather_and_push(solution, beam.particles, setup.dt / 2, step, time, course, setup)
     # Boxes may be cut anew without another cell, as after a restart on other ranks.
     regridded = beam.hierarchy is not state.hierarchy and not beam.hierarchy.same_cells(state.hierarchy)
@@ -53,10 +56,12 @@ def begin(comm: MPI.Comm, scene: Scene, fields: Sequence[FieldFunction] = ()) ->
     base = make_base(setup.comm, scene)
     with setup.clock("beam"):
         arrived, start, setup = _made(base, course, setup)
-    beam = MeshedParticles(arrived.particles, base, first_frames(arrived.particles, setup))
+    frames, drive = first_frames(arrived.particles, setup), setup.drive(start, course.window, arrived.lost)
+    beam = MeshedParticles(arrived.particles, base, frames, drive=drive)
     beam = follow(beam, None, setup)
     rho = deposit(beam, setup)
     solution = solve(beam, rho, None, setup)
+    check_images(beam, solution, 0, setup)
     setup = with_time_step(setup, beam, solution, course)
     staggered = gather_and_push(solution, beam.particles, 0.0, 0, start, course, setup)
     records = arrived.lost, arrived.screens, arrived.tallies

@@ -5,16 +5,20 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic_core import PydanticCustomError
+from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler, model_validator
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from ..errors import InputError
 from ..shapes import Shape
 from ..units import UNITS
+from .complaints import complaint
+from .electrode_shapes import ShapeKind
 from .expression import formula
-from .units import NUMBER, to_si
+from .obstacles import Obstacle
+from .units import NUMBER, Charge, to_si
 
 # Numbers with a unit in a formula: "5 kV*cos(2*pi*1 MHz*t)".
 _UNITS = {unit: factor for kind in ("potential", "frequency", "time") for unit, factor in UNITS[kind].items()}
@@ -47,9 +51,9 @@ class Electrode:
             raise InputError(f"{where} has {drives} a charge; give a voltage, or the charge of one that floats")
         if self.charge is not None:
             object.__setattr__(self, "charge", _quantity(f"{where}: its charge", self.charge, "charge"))
-        elif isinstance(self.voltage, str) and not re.fullmatch(rf"\s*{NUMBER}\s*[^\W\d]+\s*", self.voltage):
+        elif _is_formula(self.voltage):
             self._check_formula(where)
-            if not re.search(r"\bt\b", self.voltage):
+            if not re.search(r"\bt\b", str(self.voltage)):
                 object.__setattr__(self, "voltage", self.voltage_at(0.0))
         else:
             object.__setattr__(self, "voltage", _quantity(f"{where}: its voltage", self.voltage, "potential"))
@@ -86,6 +90,11 @@ class Electrode:
             raise InputError(f'{where}: its voltage "{self.voltage}" {_said(refused)}') from None
 
 
+def _is_formula(voltage: Any) -> bool:
+    """Whether a voltage is more than a quantity."""
+    return isinstance(voltage, str) and not re.fullmatch(rf"\s*{NUMBER}\s*[^\W\d]+\s*", voltage)
+
+
 def _in_si(text: str) -> str:
     return _IN_FORMULA.sub(lambda match: f"({match[1]}*{_UNITS[match[2]]!r})", text)
 
@@ -100,3 +109,56 @@ def _quantity(where: str, value: Any, kind: str) -> float:
 def _said(refused: PydanticCustomError) -> str:
     context = refused.context or {}
     return f"{context['what']}; {context['remedy']}"
+
+
+# ---- the section [[electrodes]] ----
+
+
+class VoltageOfTime:
+    """Annotation of a field that holds a voltage in V, a string with a unit, or a formula of t in s."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_plain_validator_function(_voltage)
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return {"type": ["number", "string"], "unit": "V, or a formula of t"}
+
+
+def _voltage(value: Any) -> float | str:
+    if not _is_formula(value):
+        return to_si(value, "potential")
+    with np.errstate(all="ignore"):
+        at_start = float(formula(_in_si(value), "t")(np.float64(0.0)))
+    if not math.isfinite(at_start):
+        raise complaint(f"is {at_start} at t = 0 s", "write a formula that is finite throughout", found=value)
+    return value if re.search(r"\bt\b", value) else at_start
+
+
+class ElectrodeSection(Obstacle):
+    """Metal, at which the field ends and particles are lost: held at a voltage, or floating with a charge."""
+
+    name: str = Field(min_length=1, description="A name of your own, in outputs.")
+    shape: ShapeKind = Field(description="The metal.")
+    voltage: Annotated[float | str | None, VoltageOfTime()] = Field(
+        default=None,
+        description='At which it is held: a number, a string such as "5 kV", or a formula of t such as '
+        '"5 kV*cos(2*pi*1 MHz*t)", with t in s.',
+    )
+    charge: Charge | None = Field(
+        default=None, description="In place of a voltage: it floats, with this charge at the start, C."
+    )
+
+    @model_validator(mode="after")
+    def _one_drive(self) -> Self:
+        if (self.voltage is None) == (self.charge is None):
+            state = "is missing, as is charge" if self.charge is None else "is given as well as charge"
+            remedy = (
+                "give a voltage, or the charge of one that floats" if self.charge is None else "keep one of the two"
+            )
+            raise complaint(state, remedy, path="voltage", found="")
+        return self
+
+    @property
+    def value(self) -> Electrode:
+        """The electrode, its shape read from files where it is in any. Raises InputError."""
+        return Electrode(self.name, self.shape.value, self.voltage, self.charge)

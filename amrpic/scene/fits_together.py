@@ -30,6 +30,7 @@ def check(scene: SceneParts) -> None:
         _balance,
         _stretch,
         _screening,
+        _electrodes,
         _elements,
         _window,
         _names,
@@ -118,10 +119,10 @@ def _places(scene: SceneParts) -> None:
 
 
 def _balance(scene: SceneParts) -> None:
-    singular = scene.domain.value.singular and scene.solver.screening == 0
+    singular = scene.fixes_no_potential
     if scene.background == "neutralizing" and not singular:
         raise complaint(
-            "needs a domain whose faces are all periodic or neumann, and no screening",
+            "needs a domain whose faces are all periodic or neumann, no screening, and no electrode at a voltage",
             "change domain.boundary or solver.screening, or leave the background out",
             path="background",
             found=scene.background,
@@ -150,6 +151,24 @@ def _stretch(scene: SceneParts) -> None:
 def _screening(scene: SceneParts) -> None:
     if refused := scene.solver.screening_refusal(scene.domain.value):
         raise complaint(*refused, path="solver.screening", found=scene.solver.screening)
+
+
+def _electrodes(scene: SceneParts) -> None:
+    if not scene.electrodes:
+        return
+    for path, found, known in (
+        ("solver.backend", scene.solver.backend, "matrix-free"),
+        ("solver.order", scene.solver.order, 2),
+    ):
+        if found != known:
+            raise complaint("does not know electrodes", f"set it to {known!r}", path=path, found=found)
+    if scene.domain.value.singular and scene.fixes_no_potential:
+        raise complaint(
+            "float all between periodic and neumann faces, so that nothing fixes the potential",
+            "give one of them a voltage, or a face one",
+            path="electrodes",
+            found="",
+        )
 
 
 def _elements(scene: SceneParts) -> None:
@@ -213,9 +232,16 @@ def _wall_behind(scene: SceneParts, axis: str, ahead: int) -> None:
 def _names(scene: SceneParts) -> None:
     screens = [screen.name for screen in scene.screens]
     apertures, sources = aperture_names(scene.apertures), [source.name for source in scene.sources if source.name]
-    for key, names, reserved in (("apertures", apertures, FACES), ("screens", screens, ()), ("sources", sources, ())):
+    electrodes = [electrode.name for electrode in scene.electrodes]
+    for key, names, reserved in (
+        ("apertures", apertures, FACES),
+        ("electrodes", electrodes, (*FACES, *apertures)),
+        ("screens", screens, ()),
+        ("sources", sources, ()),
+    ):
         for number, name in repeated_names(names, reserved):
-            has_it = "a face of the domain" if name in reserved else f"one of the {key} before it"
+            has_it = "a face of the domain" if name in FACES else f"one of the {key} before it"
+            has_it = "an aperture" if key == "electrodes" and name in apertures else has_it
             raise complaint(
                 f"is the name of {has_it} already",
                 "give each one of its own",

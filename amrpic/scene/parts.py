@@ -18,6 +18,7 @@ from .bunch_shapes import GaussianBunch, HaloBunch, HollowBunch, KVBunch, Parabo
 from .bunches import DescribedBunch, LatticeBunch
 from .diagnostics import Diagnostics
 from .domain import DomainSection
+from .electrodes import ElectrodeSection
 from .elements import AnyElement
 from .motion import Motion, NoMotion, Reference
 from .obstacles import AnyAperture, Screen
@@ -63,6 +64,9 @@ class SceneParts(AnyScene):
         default=[], description="Magnets, cavities and other fields along the beam line."
     )
     apertures: list[AnyAperture] = Field(default=[], description="Holes in solids at which particles are lost.")
+    electrodes: list[ElectrodeSection] = Field(
+        default=[], description="Metal of any shape, at voltages or with charges; it does not move."
+    )
     screens: list[Screen] = Field(default=[], description="Planes where particles are recorded as they pass.")
     refinement: Refinement = Refinement()
     particles: ParticlesSection = ParticlesSection()
@@ -86,6 +90,12 @@ class SceneParts(AnyScene):
         if isinstance(first, ArrayBunch):
             momentum = momentum @ first.axes
         return Reference(species=first.species, momentum=vector(momentum), position=vector(np.mean(places, axis=0)))
+
+    @property
+    def fixes_no_potential(self) -> bool:
+        """Whether a net charge has no potential: no face and no electrode has one."""
+        held = any(electrode.voltage is not None for electrode in self.electrodes)
+        return self.domain.value.singular and self.solver.screening == 0 and not held
 
     @property
     def window_axis(self) -> int | None:

@@ -12,6 +12,7 @@ from pydantic import model_validator
 
 from .. import html
 from ..particles.groups import NamedBunches
+from .electrode_shapes import anchor_files
 from .fits_together import check
 from .obstacles import out_of_reach
 from .parts import SceneParts
@@ -34,6 +35,7 @@ class Scene(SceneParts):
             for member in members if isinstance(members, list) else []:
                 if isinstance(member, dict) and isinstance(member.get("file"), str):
                     member["file"] = str(folder / member["file"])
+        anchor_files(data.get("electrodes"), folder)
 
     def with_interface(self, interface: str) -> Self:
         """Return the scene with `particles.interface` as given."""

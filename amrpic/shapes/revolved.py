@@ -14,7 +14,7 @@ from ..errors import InputError
 from . import checks
 from .checks import Point
 from .shape import Columns, Shape, dot
-from .solids import AxialLines, around, column, of_circle, set_fields
+from .solids import DEEP, AxialLines, around, column, of_circle, set_fields
 from .spans import Floats, Ints, Spans, swept
 
 Profile = tuple[tuple[float, float], ...]
@@ -55,6 +55,17 @@ class Revolved(Shape):
             corners.append(around(cast(Point, centre), of_circle(self.axis, r)))
         lower, upper = np.swapaxes(corners, 0, 1)
         return cast(Point, tuple(lower.min(axis=0).tolist())), cast(Point, tuple(upper.max(axis=0).tolist()))
+
+    def _near(self, start: Floats, end: Floats) -> Ints:
+        near = super()._near(start, end)
+        bore = (DEEP * min(r for _, r in self.profile)) ** 2  # round it all metal is: most particles are in it
+        if bore == 0:
+            return near
+        clear = np.ones(len(near), bool)
+        for places in (start, end):
+            offset = places[near].T - column(self.origin)
+            clear &= dot(offset, offset) - dot(column(self.axis), offset) ** 2 < bore
+        return near[~clear]
 
     def _edges(self) -> Iterator[tuple[int, float, float, float, float, int]]:
         """Yield number, heights and radii (lower end first) of edges that are mantles, and +1 if the body is below, else -1."""

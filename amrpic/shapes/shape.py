@@ -109,6 +109,10 @@ class Shape(ABC):
         clear = (np.minimum(start, end) > upper + margin) | (np.maximum(start, end) < lower - margin)
         return np.flatnonzero(~clear.any(axis=1))
 
+    def _encloses(self, start: Columns, end: Columns) -> NDArray[np.bool_]:
+        """Return which segments surely lie inside and do not touch the surface."""
+        return np.zeros(start.shape[1], bool)
+
     def normals(self, points: ArrayLike, surface: ArrayLike, direction: ArrayLike) -> Floats:
         """Return unit normals (n, 3) at points on the body's surfaces, against the directions by which these are met."""
         places, vectors = columns("points", points), columns("direction", direction)
@@ -197,6 +201,12 @@ class Combination(Shape):
         bodies[len(bodies) - holes :] = [body.select(body.enter < body.leave) for body in bodies[len(bodies) - holes :]]
         return combined(bodies, [part.surfaces for part in self.parts], needed, holes)
 
+    def _near(self, start: Floats, end: Floats) -> Ints:
+        near = super()._near(start, end)
+        for hole in self.parts[1:] if self.kind == "difference" else ():  # as of a pipe: most particles are in it
+            near = near[~hole._encloses(start[near].T, end[near].T)]
+        return near
+
     def _normals(self, points: Columns, surface: Ints) -> Columns:
         normals, first = np.zeros_like(points), 0
         for part in self.parts:
@@ -266,6 +276,10 @@ class Placed(Shape):
 
     def _inwards(self, points: Columns) -> Columns:
         return np.stack([sum(w * p for w, p in zip(row, points, strict=True)) for row in self.inverse])
+
+    def _encloses(self, start: Columns, end: Columns) -> NDArray[np.bool_]:
+        offset = np.array(self.offset)[:, None]
+        return self.shape._encloses(self._inwards(start - offset), self._inwards(end - offset))
 
     def _spans(self, start: Columns, direction: Columns) -> Spans:
         return self.shape._spans(

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import InputError
 from . import checks
@@ -18,6 +19,8 @@ from .spans import Floats, Ints, Spans
 INFINITE: tuple[Point, Point] = ((-math.inf,) * 3, (math.inf,) * 3)
 # Lines within this angle of a foil's plane, or of a cylinder's axis, count as parallel to it.
 PARALLEL = 1e-12
+# Points within this part of a body's size are inside whatever rounding does.
+DEEP = 1 - 1e-6
 
 
 class Convex(Shape):
@@ -29,6 +32,13 @@ class Convex(Shape):
 
     def _spans(self, start: Columns, direction: Columns) -> Spans:
         return Spans.of_convex(*self._ends(start, direction))
+
+    def _deep(self, points: Columns) -> NDArray[np.bool_]:
+        """Return which points lie inside by more than rounding; none, if a body does not say it for less than a line costs."""
+        return np.zeros(points.shape[1], bool)
+
+    def _encloses(self, start: Columns, end: Columns) -> NDArray[np.bool_]:
+        return self._deep(start) & self._deep(end)
 
 
 def set_fields(shape: Shape, **values: object) -> None:
@@ -61,6 +71,10 @@ class Sphere(Convex):
         middle, nearest = towards(start - column(self.centre), direction)
         half = np.sqrt((self.radius**2 - dot(nearest, nearest)) / dot(direction, direction))
         return middle - half, middle + half
+
+    def _deep(self, points: Columns) -> NDArray[np.bool_]:
+        offset = points - column(self.centre)
+        return np.asarray(dot(offset, offset) < (DEEP * self.radius) ** 2)
 
     def _normals(self, points: Columns, surface: Ints) -> Columns:
         return points - column(self.centre)
@@ -97,6 +111,10 @@ class Box(Convex):
     def _ends(self, start: Columns, direction: Columns) -> tuple[Floats, Floats]:
         # Faces on planes of cell centres are common, and edges there may not hang on rounding.
         return slabs(self.bounds, start, direction, ROUNDING * float(np.abs(self.bounds).max()))
+
+    def _deep(self, points: Columns) -> NDArray[np.bool_]:
+        half = (column(self.upper) - column(self.lower)) / 2
+        return np.asarray((abs(points - column(self.lower) - half) < DEEP * half).all(axis=0))
 
     def _normals(self, points: Columns, surface: Ints) -> Columns:
         lower, upper = column(self.lower), column(self.upper)
@@ -209,6 +227,14 @@ class Cone(Convex):
         lines = AxialLines.of(self.start, axis, start, direction)
         return lines.in_frustum(0.0, math.dist(self.start, self.end), self.radius_start, self.radius_end)
 
+    def _deep(self, points: Columns) -> NDArray[np.bool_]:
+        axis, length = checks.direction("Cone", np.subtract(self.end, self.start)), math.dist(self.start, self.end)
+        offset = points - column(self.start)
+        height = dot(column(axis), offset)
+        radius = DEEP * (self.radius_start + (self.radius_end - self.radius_start) * height / length)
+        across = dot(offset, offset) - height**2
+        return np.asarray((abs(height - length / 2) < DEEP * length / 2) & (radius > 0) & (across < radius**2))
+
     def _normals(self, points: Columns, surface: Ints) -> Columns:
         axis = checks.direction("Cone", np.subtract(self.end, self.start))
         length = math.dist(self.start, self.end)
@@ -238,6 +264,9 @@ class Cylinder(Convex):
 
     def _ends(self, start: Columns, direction: Columns) -> tuple[Floats, Floats]:
         return self._cone._ends(start, direction)
+
+    def _deep(self, points: Columns) -> NDArray[np.bool_]:
+        return self._cone._deep(points)
 
     def _normals(self, points: Columns, surface: Ints) -> Columns:
         return self._cone._normals(points, surface)

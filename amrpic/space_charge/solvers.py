@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from functools import reduce
+from operator import add
+from typing import NamedTuple
 
+from ..conductors.drive import NO_ELECTRODES, Drive, same_metal
 from ..errors import SolverError
 from ..mesh.field import Field, Function, VectorField
 from ..mesh.hierarchy import Hierarchy
@@ -13,14 +17,26 @@ from ..particles.frame import LABORATORY, Frame
 from ..scene.solver_options import SolverSection
 from ..stages.poisson import PoissonSolver, SolveReport
 
-Potential = tuple[Field, VectorField]  # φ, V, and E, V/m
+CONSTANT = ""  # name of what walls and constant voltages hold together
+
+
+class Potential(NamedTuple):
+    """What is solved for apart from charge."""
+
+    phi: Field  # V
+    efield: VectorField  # V/m
+    charges: Mapping[str, float] = {}  # of each electrode, C
+    voltages: Mapping[str, float] = {}  # V
 
 
 class Solvers:
     """Solves for potentials, and keeps the reports.
 
     `walls`: what these hold, potential (V) and slope of it (V/m). `remark`: is given a sentence on what may not be meant.
+    `drive` is that of the electrodes, and is set before a solve at another time.
     """
+
+    drive: Drive = NO_ELECTRODES
 
     def __init__(
         self,
@@ -32,7 +48,10 @@ class Solvers:
         self._options, self._background, self._remark = options, background, remark
         self._potential, self._slope = walls
         self._kept: dict[tuple[Frame, bool], PoissonSolver] = {}
-        self._walls: Potential | None = None
+        self._apart: dict[
+            str, Potential
+        ] = {}  # of walls and constant voltages, and of each electrode at 1 V that varies
+        self._metal: tuple[Hierarchy | None, Drive] = None, NO_ELECTRODES  # mesh and electrodes of these
         self._reports: list[SolveReport] = []
 
     def poisson(
@@ -45,8 +64,11 @@ class Solvers:
         options = self._options
         if frame != LABORATORY:
             options = options.model_copy(update={"stretch": self.stretch(frame)})
+        electrodes = self.drive.with_charge(frame == LABORATORY and not part)
         solver = self._kept.get((frame, part))
-        if solver is not None and solver.hierarchy is hierarchy and solver.mirror == mirror:
+        serves = solver is not None and solver.hierarchy is hierarchy and solver.mirror == mirror
+        if solver is not None and serves and same_metal(solver.electrodes, electrodes):
+            solver.electrodes = electrodes
             return solver
         reuse = solver.base_setup if solver is not None and options.reuse else None
         # the old operators go before the new ones come
@@ -55,7 +77,7 @@ class Solvers:
         self._kept = {key: solver_kept for key, solver_kept in self._kept.items() if solver_kept.hierarchy is hierarchy}
         background = "neutralizing" if part else self._background
         self._kept[frame, part] = PoissonSolver(
-            hierarchy, options=options, background=background, mirror=mirror, reuse=reuse
+            hierarchy, options=options, background=background, mirror=mirror, electrodes=electrodes, reuse=reuse
         )
         return self._kept[frame, part]
 
@@ -93,6 +115,7 @@ class Solvers:
             last=last,
             deposited=deposited,
             image=image,
+            time=self.drive.time,
         )
         self._reports.append(report)
         self._require_converged(report)
@@ -104,24 +127,44 @@ class Solvers:
         return phi, report
 
     def walls(self, hierarchy: Hierarchy, frames: Frames, covered: str) -> Potential | None:
-        """Return φ and E of what the walls hold where a solution in these frames is without it, being of others. Collective.
+        """Return φ and E of what walls and electrodes hold where a solution in these frames is without it. Collective.
 
-        It is solved for once on each mesh, in the laboratory; `covered` as for `PoissonSolver.electric_field`. Raises
-        SolverError if its flux has no potential.
+        That is all of it for frames other than the laboratory's, and of electrodes whose voltage varies always: it is solved
+        for once on each mesh, and summed up with the voltages of the time. `covered` as for `PoissonSolver.electric_field`.
+        Raises SolverError if the flux of walls has no potential.
         """
-        if frames.only == LABORATORY or (self._potential is None and self._slope is None):
+        at_rest = frames.only == LABORATORY
+        apart = self.drive.apart(at_rest)
+        weights = {electrode.name: electrode.voltage_at(self.drive.time) for electrode in apart if electrode.varies}
+        constant = [electrode.name for electrode in apart if not electrode.varies]
+        if not at_rest and (constant or self._potential is not None or self._slope is not None):
+            weights[CONSTANT] = 1.0
+        if not weights:
             return None
-        if self._walls is None or self._walls[0].hierarchy is not hierarchy:
-            solver = PoissonSolver(hierarchy, options=self._options, background=self._background)
-            try:
-                phi, report = solver.solve(Field(hierarchy), None, self._potential, self._slope)
-            except SolverError as refused:
-                raise SolverError(
-                    f"domain.slope, whose field is solved for apart from charge that moves: {refused}"
-                ) from None
-            self._require_converged(report)
-            self._walls = phi, solver.deferred_field(phi, covered=covered)
-        return self._walls
+        self._forget_others(hierarchy)
+        for name in weights.keys() - self._apart.keys():
+            self._apart[name] = self._alone(name, constant, hierarchy, covered)
+        return _summed([(weight, self._apart[name]) for name, weight in weights.items()])
+
+    def _forget_others(self, hierarchy: Hierarchy) -> None:
+        """Forget what was solved for apart from charge on another mesh, or with other metal."""
+        if self._metal[0] is not hierarchy or not same_metal(self._metal[1].electrodes, self.drive.electrodes):
+            self._apart, self._metal = {}, (hierarchy, self.drive)
+
+    def _alone(self, name: str, constant: Sequence[str], hierarchy: Hierarchy, covered: str) -> Potential:
+        """Return φ and E of an electrode at 1 V, or of walls and constant voltages, without charge. Collective."""
+        of_walls = name == CONSTANT
+        electrodes = self.drive.alone(*constant) if of_walls else self.drive.alone(name, volts=1.0)
+        solver = PoissonSolver(hierarchy, options=self._options, background=self._background, electrodes=electrodes)
+        walls = (self._potential, self._slope) if of_walls else (None, None)
+        try:
+            phi, report = solver.solve(Field(hierarchy), None, *walls)
+        except SolverError as refused:
+            raise SolverError(
+                f"domain.slope, whose field is solved for apart from charge that moves: {refused}"
+            ) from None
+        self._require_converged(report)
+        return Potential(phi, solver.deferred_field(phi, covered=covered), report.charges, report.voltages)
 
     def take_reports(self) -> list[SolveReport]:
         """Return how the solves since the latest call went, and forget them."""
@@ -136,3 +179,17 @@ class Solvers:
             f"residual {reached:.1e} after {report.cycles} cycles instead of {self._options.tolerance} "
             f"({report.reason}); {report.remedy}"
         )
+
+
+def _summed(parts: Sequence[tuple[float, Potential]]) -> Potential:
+    """Return the sum of potentials with factors."""
+    first = parts[0][1]
+    if len(parts) == 1 and parts[0][0] == 1:
+        return first
+    fields = [(weight, (part.phi, *part.efield.with_components().components)) for weight, part in parts]
+    phi, *efield = (reduce(add, (weight * of[n] for weight, of in fields)) for n in range(4))
+    totals = [
+        {name: sum(weight * getattr(part, of)[name] for weight, part in parts) for name in getattr(first, of)}
+        for of in ("charges", "voltages")
+    ]
+    return Potential(phi, VectorField(*efield), *totals)

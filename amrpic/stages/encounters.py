@@ -12,8 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _native
+from ..conductors.hits import first_hits
 from ..mesh.domain import Domain
 from ..mesh.window import Window
+from ..scene.electrodes import Electrode
 from ..scene.obstacles import Aperture, RectangularAperture, RoundAperture
 
 Array = NDArray[Any]
@@ -69,10 +71,11 @@ class Flights:
     after: Window
     origin: Array | None = None  # (n, 3) m, where the window is when each flight starts, if that is not in `before`
 
-    def losses(self, apertures: Sequence[_native.Aperture]) -> Encounters:
-        """Return where flights first touch the solid of an aperture; at once where they start in it.
+    def losses(self, apertures: Sequence[_native.Aperture], electrodes: Sequence[Electrode] = ()) -> Encounters:
+        """Return where flights first touch the solid of an aperture, or an electrode; at once where they start in it.
 
-        Solid that reaches beyond a periodic face along z goes on at the other one, unless the domain moves.
+        `what` counts apertures, and after them electrodes. Solid of an aperture that reaches beyond a periodic face along z
+        goes on at the other one, unless the domain moves.
         """
         solids = [
             (number, aperture) for number, aperture in enumerate(apertures) for aperture in self._images(aperture)
@@ -82,6 +85,8 @@ class Flights:
             self._meet(lambda *ways: _native.first_encounters([aperture for _, aperture in solids], *ways)),
         )
         met.what[:] = numbers[met.what]
+        if electrodes:
+            met = met.joined(self._meet(functools.partial(_hits, electrodes, len(apertures))))
         met = met.select(
             np.all(np.isfinite(met.place), axis=1)
         )  # others are bad input, about which `migrate` complains
@@ -217,6 +222,16 @@ class Flights:
         place[rows, axis] = np.where(up, below, upper)[rows, axis]
         end[rows, axis] -= (np.where(up, 1.0, -1.0) * (upper - lower))[rows, axis]
         return cut, share, Flights(place, end, self.domain, self.before, self.after, self._origin(cut, share))
+
+
+def _hits(
+    electrodes: Sequence[Electrode], first: int, start: Array, end: Array, before: Array, after: Array
+) -> tuple[Array, Array, Array]:
+    """Return which ways meet electrodes, which, counted from `first`, and after which share of them."""
+    starts, ends = start + before, end + after
+    finite = np.flatnonzero(np.isfinite(starts).all(axis=1) & np.isfinite(ends).all(axis=1))
+    hits = first_hits(electrodes, starts[finite], ends[finite])
+    return finite[hits.segment], hits.electrode.astype(np.int64) + first, hits.share
 
 
 def _encounters(flight: Array, what: Array, share: Array, place: Array, way: Array) -> Encounters:

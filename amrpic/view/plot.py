@@ -19,6 +19,7 @@ from ..mesh.domain import AXES
 from ..mesh.pictures import DPI, draw_curve, plane
 from ..mesh.raster import ChargeSpread, Line, Raster, line_through
 from ..units import prefix_of, quantity
+from .metal import metal_in
 from .views import View, kinds_of, of_points
 
 Array = NDArray[Any]
@@ -69,7 +70,8 @@ def _projection(dump: Dump, spread: ChargeSpread, view: View, raster: Raster) ->
 def _plane(dump: Dump, raster: Raster, symbol: str, unit: str, view: View, title: str) -> Figure:
     level = "" if view.level is None else f", level {view.level}"
     title = f"{title}{level}, {_when(dump)}"
-    return plane(dump, raster, symbol, unit, title, view.scale, view.boxes, view.level, kinds_of(dump, view))
+    metal, kinds = metal_in(dump, raster), kinds_of(dump, view)
+    return plane(dump, raster, symbol, unit, title, view.scale, view.boxes, view.level, kinds, metal)
 
 
 def _when(dump: Dump) -> str:

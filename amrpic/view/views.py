@@ -55,6 +55,7 @@ OPTIONS = {  # of each kind of picture
     "line": ("axis", "level"),
 }
 OVERVIEW = (View("phi"), View("|E|"), View("rho", "projection"), View("phi E rho", "line"))
+WITH_ELECTRODES = (*OVERVIEW, View("phi", axis=1))
 
 OF_POINTS = (View("material", axis=1), View("damage", axis=1), View("pressure", axis=1), View("mises", axis=1))
 
@@ -66,7 +67,9 @@ def of_points(dump: Dump) -> bool:
 
 def overview_of(dump: Dump) -> tuple[View, ...]:
     """Return the views that show a dump if no others are asked for."""
-    return OF_POINTS if of_points(dump) else OVERVIEW
+    if of_points(dump):
+        return OF_POINTS
+    return WITH_ELECTRODES if json.loads(dump.scene_text).get("electrodes") else OVERVIEW
 
 
 def kinds_of(dump: Dump, view: View) -> list[str]:

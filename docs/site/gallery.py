@@ -100,6 +100,21 @@ SCENES = {
         plot("--quantity", "x-px", "--kind", "phase-space"),
         "phase space after 60 periods of the focusing",
     ),
+    "einzel_lens": Shown(
+        "An einzel lens",
+        plot("--quantity", "phi", "--axis", "y"),
+        "potential in the plane y = 0 after the bunch has passed",
+    ),
+    "collimator": Shown(
+        "A collimator",
+        plot("--quantity", "rho", "--axis", "y", "--scale", "log"),
+        "charge density behind it in the plane y = 0",
+    ),
+    "paul_trap": Shown(
+        "A Paul trap",
+        plot("--quantity", "phi", "--axis", "y", "--position", "0"),
+        "potential in the plane y = 0 after 30 periods, and the surfaces of ring and caps",
+    ),
     "press": Shown("A press", plot("--quantity", "material", "--axis", "y"), "grains, binder and voids after it"),
     "press_fine": Shown("A finer press", plot("--quantity", "damage", "--axis", "y"), "damage after it"),
     "sinker": Shown("A ball that sinks", plot("--quantity", "pressure", "--axis", "y"), "the pressure around it"),

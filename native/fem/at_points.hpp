@@ -18,6 +18,25 @@ struct AtPoint {
   Vector3<Vector> slope[C];  ///< in coordinates of the element, -1 to 1
 };
 
+/// A function at points, see `AtPoints`, whichever it is: for what does so much else that a call costs nothing.
+template <int C>
+struct PointFunction {
+  void const* d;
+  void (*call)(void const*, std::int64_t, AtPoint<C>&);
+
+  template <class D>
+  static PointFunction of(D const& d) {
+    return {&d, [](void const* own, std::int64_t block, AtPoint<C>& at) { (*static_cast<D const*>(own))(block, at); }};
+  }
+  void operator()(std::int64_t block, AtPoint<C>& at) const { call(d, block, at); }
+};
+
+/// One of slopes, that are read and perhaps written.
+template <int C, bool to_write>
+struct AnyOfSlopes : PointFunction<C> {
+  static constexpr bool reads = true, writes = to_write, values = false, slopes = true;
+};
+
 /// f of each coordinate of a block's points.
 template <class Block, class F>
 inline auto rows_at_block(Points const& points, Block const& block, F const& f) {
@@ -63,16 +82,7 @@ struct AtPoints {
   D d;
   Matrix<P> from_nodes = nodes_to_chebyshev<P>(), to_nodes = transposed(nodes_to_chebyshev<P>());
 
-  void operator()(LocalIndex const* elements, int count, GroupValues<P, C>& values) const {
-    if constexpr (reads)
-      for (int c = 0; c < C; ++c) transform(from_nodes, values.value[c]);
-    V const size = single ? largest(values) : V{};
-    if constexpr (single) multiply(V{} + Real(1) / size, values);
-    for (int lane = 0; lane < count; ++lane) element(elements[lane], lane, values);
-    if constexpr (single) multiply(size, values);
-    if constexpr (writes)
-      for (int c = 0; c < C; ++c) transform(to_nodes, values.value[c]);
-  }
+  void operator()(LocalIndex const* elements, int count, GroupValues<P, C>& values) const;
 
  private:
   using Block = std::conditional_t<single, BlockPair, std::int64_t>;
@@ -147,6 +157,31 @@ struct AtPoints {
     }
   }
 };
+
+// Not inline, so that it is compiled where it is instantiated and nowhere else.
+template <int P, int C, class D, bool single>
+void AtPoints<P, C, D, single>::operator()(LocalIndex const* elements, int count, GroupValues<P, C>& values) const {
+  if constexpr (reads)
+    for (int c = 0; c < C; ++c) transform(from_nodes, values.value[c]);
+  V const size = single ? largest(values) : V{};
+  if constexpr (single) multiply(V{} + Real(1) / size, values);
+  for (int lane = 0; lane < count; ++lane) element(elements[lane], lane, values);
+  if constexpr (single) multiply(size, values);
+  if constexpr (writes)
+    for (int c = 0; c < C; ++c) transform(to_nodes, values.value[c]);
+}
+
+// With any function of three components' slopes. `f` is extern, or empty where these are compiled.
+#define AMRPIC_AT_POINTS_OF_SLOPES(f)                      \
+  f template struct AtPoints<2, 3, AnyOfSlopes<3, false>>; \
+  f template struct AtPoints<3, 3, AnyOfSlopes<3, false>>; \
+  f template struct AtPoints<4, 3, AnyOfSlopes<3, false>>; \
+  f template struct AtPoints<5, 3, AnyOfSlopes<3, false>>; \
+  f template struct AtPoints<2, 3, AnyOfSlopes<3, true>>;  \
+  f template struct AtPoints<3, 3, AnyOfSlopes<3, true>>;  \
+  f template struct AtPoints<4, 3, AnyOfSlopes<3, true>>;  \
+  f template struct AtPoints<5, 3, AnyOfSlopes<3, true>>;
+AMRPIC_AT_POINTS_OF_SLOPES(extern)
 
 /// Factors of the square of a node's function at the points of a block, and of products of its slopes.
 template <int C>

@@ -32,4 +32,7 @@ void with_shape(int degree, int components, F&& f) {
   });
 }
 
+/// The same as a list: f(nodes along an axis, components) for each.
+#define AMRPIC_FOR_EACH_SHAPE(f) f(2, 1) f(3, 1) f(4, 1) f(5, 1) f(2, 3) f(3, 3) f(4, 3) f(5, 3)
+
 }  // namespace amrpic::fem

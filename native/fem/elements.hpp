@@ -142,4 +142,25 @@ void sum_over_elements(Points const& points, Real const* u, Real* v, Kernel cons
   sum_over_elements<P, C>(points.lattice(), points.filled(), u, v, kernel);
 }
 
+/// A kernel, whichever it is, for what does so much else that a call costs nothing.
+template <int P, int C>
+struct GroupKernel {
+  void const* kernel;
+  void (*call)(void const*, LocalIndex const*, int, GroupValues<P, C>&);
+
+  template <class Kernel>
+  static GroupKernel of(Kernel const& kernel) {
+    return {&kernel, [](void const* own, LocalIndex const* elements, int count, GroupValues<P, C>& values) {
+              (*static_cast<Kernel const*>(own))(elements, count, values);
+            }};
+  }
+  void operator()(LocalIndex const* elements, int count, GroupValues<P, C>& values) const {
+    call(kernel, elements, count, values);
+  }
+};
+
+/// The matrix that a kernel has for one element: rows and columns are nodes, x fastest, component after component.
+template <int P, int C>
+void fill_matrix(GroupKernel<P, C> const& kernel, LocalIndex element, std::vector<Real>& matrix);
+
 }  // namespace amrpic::fem

@@ -102,14 +102,17 @@ class OperatorOf : public Operator {
           f(p, elements[p].corner[e], matrix);
         }
     };
-    if constexpr (D::slopes && !D::values)
-      if (!points().gauss())
-        return with_degree(points().lattice().degree(), [&](auto nodes) {
-          ElementMatrix<nodes(), C, D> made(points(), d_);
-          each([&](LocalIndex element) { made.fill(element, matrix); });
-        });
-    with_kernel([&](auto nodes, auto const& kernel) {
-      each([&](LocalIndex element) { fill_matrix<nodes()>(kernel, element, matrix); });
+    with_degree(points().lattice().degree(), [&](auto nodes) {
+      auto const fill_by = [&](auto const& kernel) {
+        each([&](LocalIndex element) { fill_matrix(GroupKernel<nodes(), C>::of(kernel), element, matrix); });
+      };
+      if (points().gauss()) return fill_by(d_.template at_gauss<nodes(), C>(points()));
+      if constexpr (D::slopes && !D::values) {
+        ElementMatrix<nodes(), C> made(points(), PointFunction<C>::of(d_));
+        each([&](LocalIndex element) { made.fill(element, matrix); });
+      } else {
+        fill_by(AtPoints<nodes(), C, D>{points(), d_});
+      }
     });
   }
 
@@ -122,26 +125,6 @@ class OperatorOf : public Operator {
       else
         f(nodes, AtPoints<nodes(), C, D>{points(), d_});
     });
-  }
-
-  /// The matrix of one element, by groups of columns: a lane each.
-  template <int P, class Kernel>
-  static void fill_matrix(Kernel const& kernel, LocalIndex element, std::vector<Real>& matrix) {
-    constexpr int nodes = P * P * P, all = C * nodes;
-    matrix.resize(std::size_t(all) * all);
-    std::array<LocalIndex, native_lane_count> same;
-    same.fill(element);
-    for (int first = 0; first < all; first += native_lane_count) {
-      int const count = std::min(native_lane_count, all - first);
-      GroupValues<P, C> values{};
-      for (int c = 0; c < C; ++c)
-        for (int n = 0; n < nodes; ++n)
-          for (int l = 0; l < native_lane_count; ++l) values.value[c][n][l] = first + l == c * nodes + n;
-      kernel(same.data(), count, values);
-      for (int row = 0; row < all; ++row)
-        for (int l = 0; l < count; ++l)
-          matrix[std::size_t(row) * all + std::size_t(first + l)] = values.value[row / nodes][row % nodes][l];
-    }
   }
 
   D d_;

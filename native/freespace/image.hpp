@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <limits>
+#include <tuple>
 
 #include "freespace/lattice.hpp"
 
@@ -25,7 +26,9 @@ struct Image {
   /// This one of what another one maps to.
   Image after(Image const& first) const;
   Image inverse() const;
-  bool operator==(Image const& o) const { return reflects == o.reflects && shift == o.shift && sign == o.sign; }
+  bool operator<(Image const& o) const {
+    return std::tie(reflects, shift, sign) < std::tie(o.reflects, o.shift, o.sign);
+  }
 };
 
 /// Which of the images across the walls of one axis count, where charge moves along it: those that move with the

@@ -23,7 +23,21 @@ AxisImages images_of(std::optional<Mirror> const& lower, std::optional<Mirror> c
   return out;
 }
 
+/// How many copies of a period are seen from inside between sides whose walls let the potential of charge fade along
+/// the axis; the lengths of periods.
+int periods_seen(std::array<AxisImages, 3> const& axes, Point const& shape, int axis) {
+  double constexpr faded = 18;  // by exp(-18)
+  double square = 0;            // of the rate, of the mode that fades least
+  for (int d = 0; d < 3; ++d)
+    if (d != axis && axes[d].alternates()) square += std::pow(2 * pi / (axes[d].period * shape[d]), 2);
+  return int(std::ceil(faded / (std::sqrt(square) * axes[axis].period * shape[axis])));
+}
+
 }  // namespace
+
+bool AxisImages::alternates() const {
+  return std::any_of(copies.begin(), copies.end(), [](Copy const& copy) { return copy.sign < 0; });
+}
 
 Image Image::after(Image const& first) const {
   Image out;
@@ -50,6 +64,20 @@ Images::Images(Lattice const& lattice, std::array<std::array<std::optional<Mirro
     if (periodic[d]) axes_[d].period = lattice.cells[d];
     widest_ = std::max({widest_, lattice.cells[d] * shape_[d], axes_[d].period * shape_[d]});
   }
+  if (across >= 0 && lattices() == 3) list_copies(std::size_t(across));
+}
+
+void Images::list_copies(std::size_t axis) {
+  AxisImages& along = axes_[axis];
+  int const seen = periods_seen(axes_, shape_, int(axis));
+  std::vector<AxisImages::Copy> const within = std::move(along.copies);
+  along.copies.clear();
+  for (int n = 0; n <= 2 * seen; ++n)  // the charge itself first
+    for (auto copy : within) {
+      copy.shift += (n % 2 == 0 ? n / 2 : -(n + 1) / 2) * along.period;
+      along.copies.push_back(copy);
+    }
+  along.period = 0;
 }
 
 bool Images::are_none() const {

@@ -22,6 +22,9 @@ struct AxisImages {
   };
   std::vector<Copy> copies{{false, 0, 1}};
   int period = 0;
+
+  /// Whether those of a period have both signs, so that their potential fades along other axes.
+  bool alternates() const;
 };
 
 /// A wall across an axis: at half of `twice` cells of the base from the lower end; it reflects charge with a sign.
@@ -50,12 +53,15 @@ class Images {
   /// mesh.
   int doublings(int d, int fewest) const;
   Point const& shape() const { return shape_; }
-  /// The number of axes along which they repeat, at most two where a face is open.
+  /// The number of axes along which they repeat, at most two.
   int lattices() const { return int(axes_[0].period > 0) + int(axes_[1].period > 0) + int(axes_[2].period > 0); }
   /// Distance along an axis between a place and the nearest image of another one; in units of the smallest spacing.
   double apart(int d, double place, double other) const;
 
  private:
+  /// Between closed sides, some of whose walls are conductors, the images along an axis are as many as are seen.
+  void list_copies(std::size_t axis);
+
   Point shape_{1, 1, 1};
   double widest_ = 0;  ///< extent or period
   std::array<AxisImages, 3> axes_;

@@ -306,11 +306,12 @@ std::vector<std::vector<Interactions>> TreePotential::interactions(Octree const&
     int node, image;  ///< the latter by number
   };
   std::vector<Image> images;
+  std::map<Image, int> numbers;
   std::vector<Visit> tops, stack;
-  auto const number = [&images](Image const& image) {
-    auto const known = std::find(images.begin(), images.end(), image);
-    if (known != images.end()) return int(known - images.begin());
-    return images.push_back(image), int(images.size()) - 1;
+  auto const number = [&](Image const& image) {
+    auto const [at, is_new] = numbers.try_emplace(image, int(images.size()));
+    if (is_new) images.push_back(image);
+    return at->second;
   };
   for (auto const& [node, image] : tree.tops) tops.push_back({node, number(image)});
   std::vector<std::vector<Visit>> left(patches.size());  // to the children

@@ -98,8 +98,8 @@ struct OfSlopes {
                         in_single = true;
 
   template <int P, int C>
-  fem::SlopesAtGauss<P, C, D> at_gauss(fem::Points const& points) const {
-    return {points, static_cast<D const&>(*this)};
+  fem::SlopesAtGauss<P, C> at_gauss(fem::Points const& points) const {
+    return {points, fem::PointFunction<C>::of(static_cast<D const&>(*this))};
   }
 };
 

@@ -62,7 +62,6 @@ void for_each_place(fem::Points const& points, std::int64_t block, F&& f) {
 /// slopes' conjugates in their place: what the gradients of nodes' functions are multiplied with.
 template <bool tests>
 struct PointByPoint {
-  static constexpr bool reads = true, writes = tests, values = false, slopes = true;
   fem::Points const& points;
   Real3 scale;
   std::function<void(Place const&, Tensor&)> const& f;
@@ -89,7 +88,7 @@ std::vector<Real> sum_point_by_point(fem::Points const& points, Real const* u, F
   std::vector<Real> out(tests ? std::size_t(points.lattice().own_nodes()) * 3 : 0);
   PointByPoint<tests> const d{points, fem::slope_scale(points.lattice()), call};
   fem::with_degree(points.lattice().degree(), [&](auto nodes) {
-    fem::AtPoints<nodes(), 3, PointByPoint<tests>> const kernel{points, d};
+    fem::AtPoints<nodes(), 3, fem::AnyOfSlopes<3, tests>> const kernel{points, {fem::PointFunction<3>::of(d)}};
     fem::sum_over_elements<nodes(), 3>(points, u, tests ? out.data() : nullptr, kernel);
   });
   return out;

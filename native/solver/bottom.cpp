@@ -1,20 +1,13 @@
 #include "solver/bottom.hpp"
 
-#include <Amesos2.hpp>
-#include <BelosBiCGStabSolMgr.hpp>
-#include <BelosBlockGmresSolMgr.hpp>
-#include <BelosFixedPointSolMgr.hpp>
-#include <BelosPseudoBlockCGSolMgr.hpp>
-#include <BelosTpetraAdapter.hpp>
 #include <Ifpack2_Factory.hpp>
-#include <MueLu_CreateTpetraPreconditioner.hpp>
-#include <Tpetra_CrsMatrix.hpp>
 #include <cmath>
 #include <numeric>
 
 #include "base/communicator.hpp"
 #include "base/error.hpp"
 #include "base/runtime.hpp"
+#include "solver/trilinos_solvers.hpp"
 
 namespace amrpic {
 
@@ -125,18 +118,14 @@ void require_fit(HostRows const& matrix, SolverOptions const& options) {
 }  // namespace
 
 struct Bottom::GatheredProblem {
-  using Linear = Belos::LinearProblem<Real, MultiVector, Operator>;
-  using Iterations = Belos::SolverManager<Real, MultiVector, Operator>;
-
   LocalIndex rows;
   Real scale;
   Teuchos::RCP<Matrix> matrix;
   Teuchos::RCP<MultiVector> x, b;
-  Teuchos::RCP<Linear> linear;
-  Teuchos::RCP<Iterations> iterations;
-  Teuchos::RCP<Amesos2::Solver<Matrix, MultiVector>> factors;
+  std::unique_ptr<BelosIterations> iterations;
+  std::function<void()> solve_by_factors;
   AtFinalize release{[this] {
-    factors = Teuchos::null, iterations = Teuchos::null, linear = Teuchos::null;
+    solve_by_factors = nullptr, iterations = nullptr;
     x = Teuchos::null, b = Teuchos::null, matrix = Teuchos::null;
   }};
 
@@ -148,18 +137,13 @@ struct Bottom::GatheredProblem {
     x = Teuchos::rcp(new MultiVector(map, 1));
     b = Teuchos::rcp(new MultiVector(map, 1));
     if (options.bottom == BottomKind::direct) {
-      factors = Amesos2::create<Matrix, MultiVector>("KLU2", matrix, x, b);
-      factors->symbolicFactorization().numericFactorization();
+      solve_by_factors = klu2_solve(matrix, x, b);
       return;
     }
-    linear = Teuchos::rcp(new Linear(matrix, x, b));
-    if (auto const preconditioner = made(options.bottom_preconditioner, cells); !preconditioner.is_null()) {
-      if (options.bottom == BottomKind::cg)
-        linear->setLeftPrec(preconditioner);
-      else
-        linear->setRightPrec(preconditioner);
-    }
-    iterations = made(options.bottom);
+    auto const side = options.bottom == BottomKind::cg ? BelosIterations::Side::left : BelosIterations::Side::right;
+    iterations = std::make_unique<BelosIterations>(belos_name(options.bottom), matrix, x, b,
+                                                   made(options.bottom_preconditioner, cells), side,
+                                                   belos_parameters(options.bottom));
   }
 
   Teuchos::RCP<Operator> made(BottomPreconditioner kind, Index3 const& cells) const {
@@ -168,8 +152,7 @@ struct Bottom::GatheredProblem {
       auto parameters = muelu_parameters(kind, cells);
       if (kind == BottomPreconditioner::brick_aggregation)
         parameters.sublist("user data").set("Coordinates", coordinates(cells));
-      return MueLu::CreateTpetraPreconditioner<Real, LocalIndex, TpetraTypes::Global, TpetraTypes::Node>(
-          Teuchos::rcp_implicit_cast<Operator>(matrix), parameters);
+      return muelu_cycle(matrix, parameters);
     }
     auto out = Ifpack2::Factory::create<TpetraTypes::RowMatrix>(ifpack2_name(kind), matrix);
     out->setParameters(ifpack2_parameters(kind));
@@ -190,20 +173,6 @@ struct Bottom::GatheredProblem {
     return out;
   }
 
-  Teuchos::RCP<Iterations> made(BottomKind kind) const {
-    auto const parameters = Teuchos::rcp(new Teuchos::ParameterList(belos_parameters(kind)));
-    switch (kind) {
-      case BottomKind::cg:
-        return Teuchos::rcp(new Belos::PseudoBlockCGSolMgr<Real, MultiVector, Operator>(linear, parameters));
-      case BottomKind::bicgstab:
-        return Teuchos::rcp(new Belos::BiCGStabSolMgr<Real, MultiVector, Operator>(linear, parameters));
-      case BottomKind::multigrid:
-        return Teuchos::rcp(new Belos::FixedPointSolMgr<Real, MultiVector, Operator>(linear, parameters));
-      default:
-        return Teuchos::rcp(new Belos::BlockGmresSolMgr<Real, MultiVector, Operator>(linear, parameters));
-    }
-  }
-
   bool has(HostRows const& other) const {
     HostRows const mine = host_rows(*matrix);
     return other.row_start == mine.row_start && other.column == mine.column && other.value == mine.value;
@@ -212,14 +181,13 @@ struct Bottom::GatheredProblem {
   /// x for b.
   void solve() {
     x->putScalar(0);
-    if (!factors.is_null()) {
-      factors->solve();
+    if (solve_by_factors) {
+      solve_by_factors();
     } else {
-      linear->setProblem();
       // Whatever it reached is a correction; the residual of the whole problem shows whether it was good enough.
       try {
-        iterations->solve();
-      } catch (Belos::BelosError const&) {  // such as CG's, when it hits on the exact solution and finds nothing left
+        iterations->run();
+      } catch (std::logic_error const&) {  // such as CG's, when it hits on the exact solution and finds nothing left
       }
     }
   }

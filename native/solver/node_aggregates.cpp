@@ -1,10 +1,9 @@
 #include "solver/node_aggregates.hpp"
 
-#include <MueLu_CreateTpetraPreconditioner.hpp>
-
 #include "mesh/array_on_box.hpp"
 #include "solver/node_rows.hpp"
 #include "solver/tpetra_rows.hpp"
+#include "solver/trilinos_solvers.hpp"
 
 namespace amrpic {
 
@@ -70,8 +69,7 @@ NodeAggregates::NodeAggregates(Communicator const& comm, fem::NodeBlocks const& 
   library_->b = Teuchos::rcp(new TpetraTypes::MultiVector(own, 1));
   auto parameters = aggregation(blocks.components);
   if (rigid) parameters.sublist("user data").set("Nullspace", rigid_modes(*blocks.nodes, own));
-  library_->cycle = MueLu::CreateTpetraPreconditioner<Real, LocalIndex, TpetraTypes::Global, TpetraTypes::Node>(
-      Teuchos::rcp_implicit_cast<TpetraTypes::Operator>(library_->matrix), parameters);
+  library_->cycle = muelu_cycle(library_->matrix, parameters);
 }
 
 void NodeAggregates::apply(std::vector<Real> const& r, std::vector<Real>& z) {

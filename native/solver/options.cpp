@@ -1,6 +1,5 @@
 #include "solver/options.hpp"
 
-#include <BelosTypes.hpp>
 #include <Teuchos_Array.hpp>
 #include <Teuchos_ParameterList.hpp>
 #include <limits>
@@ -118,12 +117,24 @@ ParameterList muelu_parameters(BottomPreconditioner kind, Index3 const& cells) {
   return list;
 }
 
+std::string belos_name(BottomKind kind) {
+  switch (kind) {
+    case BottomKind::cg:
+      return "PSEUDOBLOCK CG";
+    case BottomKind::bicgstab:
+      return "BICGSTAB";
+    case BottomKind::multigrid:
+      return "FIXED POINT";
+    default:
+      return "BLOCK GMRES";
+  }
+}
+
 ParameterList belos_parameters(BottomKind kind) {
   ParameterList list;
   list.set("Convergence Tolerance", 1e-8);  // far below what one cycle gains, so that the cycle does not notice
   list.set("Maximum Iterations", 200);
   if (kind == BottomKind::gmres) list.set("Num Blocks", 50);
-  list.set("Verbosity", int(Belos::Errors));
   return list;
 }
 

@@ -95,7 +95,8 @@ Teuchos::ParameterList ifpack2_parameters(BottomPreconditioner kind);
 /// MueLu's parameters of a preconditioner, for a problem of the given numbers of cells.
 Teuchos::ParameterList muelu_parameters(BottomPreconditioner kind, Index3 const& cells);
 
-/// Belos' parameters of the bottom's iterations.
+/// Belos' name of the bottom's iterations, and their parameters.
+std::string belos_name(BottomKind kind);
 Teuchos::ParameterList belos_parameters(BottomKind kind);
 
 }  // namespace amrpic

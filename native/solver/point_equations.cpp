@@ -1,21 +1,18 @@
 #include "solver/point_equations.hpp"
 
-#include <BelosBlockGmresSolMgr.hpp>
-#include <BelosTpetraAdapter.hpp>
-#include <MueLu_CreateTpetraPreconditioner.hpp>
 #include <algorithm>
 #include <utility>
 
+#include "solver/options.hpp"
 #include "solver/tpetra_rows.hpp"
+#include "solver/trilinos_solvers.hpp"
 
 namespace amrpic {
 
 namespace {
 
-using Global = TpetraTypes::Global;
 using Map = Teuchos::RCP<TpetraTypes::Map const>;
 using MultiVector = TpetraTypes::MultiVector;
-using Operator = TpetraTypes::Operator;
 
 constexpr int restart = 60;  // vectors that GMRES keeps
 
@@ -52,18 +49,14 @@ PointSolution solve_points(Communicator const& comm, SharedRows const& rows, std
   Map const own = Teuchos::rcp(new TpetraTypes::Map(unknown, count, 0, ranks));
   auto const matrix = tpetra_matrix(rows, own);
   auto const x = Teuchos::rcp(new MultiVector(own, 1)), b = Teuchos::rcp(new MultiVector(own, 1));
-  Teuchos::ParameterList aggregates = aggregation();
-  auto const linear = Teuchos::rcp(new Belos::LinearProblem<Real, MultiVector, Operator>(matrix, x, b));
-  linear->setRightPrec(MueLu::CreateTpetraPreconditioner<Real, LocalIndex, Global, TpetraTypes::Node>(
-      Teuchos::rcp_implicit_cast<Operator>(matrix), aggregates));
-  auto const list = Teuchos::rcp(new Teuchos::ParameterList);
-  list->set("Convergence Tolerance", tolerance);
-  list->set("Maximum Iterations", most_iterations);
-  list->set("Num Blocks", restart);
-  list->set("Verbosity", int(Belos::Errors));
-  list->set("Implicit Residual Scaling", "Norm of RHS");
-  list->set("Explicit Residual Scaling", "Norm of RHS");
-  Belos::BlockGmresSolMgr<Real, MultiVector, Operator> gmres(linear, list);
+  Teuchos::ParameterList list;
+  list.set("Convergence Tolerance", tolerance);
+  list.set("Maximum Iterations", most_iterations);
+  list.set("Num Blocks", restart);
+  list.set("Implicit Residual Scaling", "Norm of RHS");
+  list.set("Explicit Residual Scaling", "Norm of RHS");
+  BelosIterations gmres(belos_name(BottomKind::gmres), matrix, x, b, muelu_cycle(matrix, aggregation()),
+                        BelosIterations::Side::right, list);
 
   // One after the other: two at a time stop by residuals that the true ones have left behind.
   PointSolution out{{}, 0, 0};
@@ -72,9 +65,7 @@ PointSolution solve_points(Communicator const& comm, SharedRows const& rows, std
     given.assign(right_hand_sides.begin() + v * count, right_hand_sides.begin() + (v + 1) * count);
     copy_in(given, *b);
     x->putScalar(0);
-    linear->setProblem();
-    gmres.solve();
-    out.iterations = std::max(out.iterations, gmres.getNumIters());
+    out.iterations = std::max(out.iterations, gmres.run());
     out.residual = std::max(out.residual, relative_residual(*matrix, *x, *b));
     copy_out(*x, found);
     out.x.insert(out.x.end(), found.begin(), found.end());

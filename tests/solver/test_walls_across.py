@@ -213,6 +213,43 @@ def test_force_is_that_of_an_open_box_and_of_the_image(at_rest: float) -> None:
         assert np.abs(both - own - of_image)[:, axes].max() < 2e-3 * np.abs(own)[:, axes].max()
 
 
+CLOSED = [
+    ("dirichlet", "dirichlet", "dirichlet"),
+    ("dirichlet", "neumann", "dirichlet"),
+    ("periodic", ("neumann", "dirichlet"), "neumann"),
+    ("dirichlet", "periodic", ("dirichlet", "neumann")),
+    (("dirichlet", "neumann"), ("dirichlet", "neumann"), "dirichlet"),
+]
+
+
+@pytest.mark.parametrize("cells", [(32, 32, 32), (48, 80, 16), (16, 16, 64)])
+@pytest.mark.parametrize("faces", CLOSED)
+def test_between_closed_sides_sum_and_difference_are_those_of_walls_at_rest(
+    faces: tuple[Any, Any, Any], cells: tuple[int, int, int]
+) -> None:
+    """φ₊ + φ₋ is a plain solve between these walls, φ₊ - φ₋ between walls of the other kind; also if they are near or far."""
+    other = {"dirichlet": "neumann", "neumann": "dirichlet"}
+    across = faces[2] if isinstance(faces[2], tuple) else (faces[2], faces[2])
+    boundary = [{"x": faces[0], "y": faces[1], "z": z} for z in (across, tuple(other[face] for face in across))]
+    upper = tuple(n / 32 for n in cells)
+    with_walls, with_others = (
+        amrpic.Hierarchy(MPI.COMM_SELF, amrpic.Domain((0, 0, 0), upper, cells, of), (), 16, 4) for of in boundary
+    )
+    middle, width = np.array(upper) * (0.6, 0.45, 0.55), 0.12 * min(upper) + 1 / 32
+
+    def density(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+        r = ((x - middle[0]) ** 2 + (y - middle[1]) ** 2 + (z - middle[2]) ** 2) / width**2
+        return EPS0 * np.exp(-4 * r)
+
+    solver = PoissonSolver(with_walls, tolerance=1e-9, mirror=Mirror.of_faces(with_walls.domain, 2))
+    rho = amrpic.Field(with_walls).fill(density)
+    plus, minus = (solver.solve(rho, image=image)[0].array(0) for image in (False, True))
+    for mesh_of_walls, found_there in ((with_walls, plus + minus), (with_others, plus - minus)):
+        plain = PoissonSolver(mesh_of_walls, tolerance=1e-9)
+        expected = plain.solve(amrpic.Field(mesh_of_walls).fill(density))[0].array(0)
+        assert np.abs(found_there - expected).max() < (6e-4 if cells[2] == 16 else 1e-4) * np.abs(expected).max()
+
+
 def test_without_planes_the_faces_are_open() -> None:
     """What is left when images are given up."""
     bunch = ball(5.0, 0.5)
@@ -257,6 +294,9 @@ def test_mirrors_that_cannot_be_are_refused() -> None:
     mirrors = PoissonSolver(hierarchy, mirror=Mirror.of_faces(hierarchy.domain, 2))
     with pytest.raises(SolverError, match="walls are given values, which are at rest, in a solver with a mirror"):
         mirrors.solve(rho, boundary_values=lambda x, y, z: 1.0)
+    sides = mesh(16, 1.0, {"x": "neumann", "y": "periodic", "z": "dirichlet"})
+    with pytest.raises(SolverError, match="a mirror has two planes and all sides are neumann or periodic"):
+        PoissonSolver(sides, mirror=Mirror.of_faces(sides.domain, 2))
     closed = mesh(16, 1.0, "dirichlet")
     with pytest.raises(SolverError, match="screening is 2 with a mirror"):
         PoissonSolver(closed, screening=2.0, mirror=Mirror.of_faces(closed.domain, 2))

@@ -86,6 +86,9 @@ output.format: 'silo'
 elements: 3 | [{kind='quad'}] | [{kind='quadrupole'}] | [{kind='uniform',electric=[0,0,nan]}]
 elements: [{kind='map',file='nowhere.h5'}] | [{kind='solenoid',field='1 m',length=1}]
 apertures: [{kind='square'}] | [{kind='round'}] | [{kind='round',radius=-1}] | [{kind='round',radius='1 s'}]
+electrodes: 3 | [{}] | [{name='a',voltage=1}] | [{name='a',voltage=1,shape={kind='ball',radius=1}}]
+electrodes: [{name='a',shape={kind='sphere',radius=1}}] | [{name='a',voltage='1 A',shape={kind='sphere',radius=1}}]
+electrodes: [{name='a',voltage='1/t',shape={kind='sphere',radius=1}}] | [{name='a',voltage=1,shape={kind='union',of=[]}}]
 screens: [{name='',z=0}] | [{name='a'}] | [{name='a/b',z=0}] | [{name='a',z='1 T'}] | [{name='a',z=nan}]
 diagnostics.every: -1 | 0.5
 diagnostics.slices: -1 | 'ten'
@@ -274,6 +277,11 @@ def _put(group: h5py.Group, name: str, value: Any) -> None:
     group[name] = value
 
 
+def _put_macroparticles_of_no_weight(group: h5py.Group) -> None:
+    _put(group, "weighting", np.zeros(6))
+    group["momentum"].attrs.update(macroWeighted=1, weightingPower=1.0)
+
+
 NAN, FAR = np.array([0, 0, 0, np.nan, 0, 0]), np.full(6, 1e300)
 BEAMS: Mapping[str, tuple[str, Callable[[Path], None]]] = {  # distribution, and what writes the file of a bunch
     "npz: missing": ("arrays", lambda path: None),
@@ -329,7 +337,10 @@ BEAMS: Mapping[str, tuple[str, Callable[[Path], None]]] = {  # distribution, and
     "openpmd: pz not finite": ("openpmd", _beam(lambda group: _put(group, "momentum/z", NAN))),
     "openpmd: pz huge": ("openpmd", _beam(lambda group: _put(group, "momentum/z", FAR))),
     "openpmd: a negative weight": ("openpmd", _beam(lambda group: _put(group, "weighting", NAN[::-1] - 1))),
-    "openpmd: weights of zero": ("openpmd", _beam(lambda group: _put(group, "weighting", np.zeros(6)))),
+    "openpmd: momenta of macroparticles of no weight": (
+        "openpmd",
+        _beam(_put_macroparticles_of_no_weight),
+    ),
     "openpmd: a unit of text": ("openpmd", _beam(lambda group: group["position/x"].attrs.update(unitSI="m"))),
     "openpmd: a unit not finite": ("openpmd", _beam(lambda group: group["position/x"].attrs.update(unitSI=np.nan))),
     "openpmd: an iteration that is not there": ("openpmd', iteration=7, group='electron", beam),

@@ -1,0 +1,45 @@
+"""Electrodes in pictures of a dump."""
+
+from __future__ import annotations
+
+import json
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..conductors.surface import in_plane
+from ..errors import InputError
+from ..io.field_reader import Dump
+from ..mesh.raster import Raster
+from ..scene.electrodes import ElectrodeSection
+from ..shapes import Shape
+
+Array = NDArray[Any]
+
+PIXELS = 800  # along the longer side
+
+
+def metal_in(dump: Dump, raster: Raster) -> tuple[Array, Array] | None:
+    """Return which pixels of a slice lie in electrodes of a dump's scene, and through which surfaces go; None without any."""
+    shapes = _shapes(dump)
+    if raster.position is None or not shapes:
+        return None
+    extent = raster.upper - raster.lower
+    pixels = tuple(np.maximum(np.rint(PIXELS * extent / extent.max()), 1).astype(int).tolist())
+    inside, surface = np.zeros((2, *pixels), bool)
+    for shape in shapes:
+        of_shape = in_plane(shape, raster.axes, raster.position, raster.lower, raster.upper, pixels)
+        inside |= of_shape[0]
+        surface |= of_shape[1]
+    return inside, surface
+
+
+def _shapes(dump: Dump) -> list[Shape]:
+    """Return the shapes of electrodes, without those whose file is no longer there."""
+    out: list[Shape] = []
+    for electrode in json.loads(dump.scene_text).get("electrodes", []):
+        with suppress(InputError):
+            out.append(ElectrodeSection(**electrode).value.shape)
+    return out

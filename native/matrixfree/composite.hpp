@@ -63,6 +63,8 @@ class CompositeLaplacian {
   Real residual_of_zero(Source const& source, Norm norm, std::vector<Real> const& scale, Blocks<T> const& residual) {
     return residual_->residual_of_zero(source, norm, scale, residual);
   }
+  /// Whether that is all that data make of a residual: not where potentials of electrodes are in ghosts.
+  bool has_residual_of_zero() const { return !mesh_.has_metal_faces(); }
 
   /// Norm of f less what the wall data add to the Laplacian. Collective.
   Real right_hand_side_norm(Source const& source, Norm norm) { return residual_->right_hand_side_norm(source, norm); }
@@ -100,9 +102,8 @@ class CompositeLaplacian {
     });
   }
   /// See CompositeResidual. Collective.
-  void for_each_charge(Field const& phi, std::vector<Walls> const& walls, std::vector<Real> const& potentials,
-                       CompositeResidual::OfCharge const& f) {
-    residual_->for_each_charge(phi, walls, potentials, f);
+  void for_each_charge(Source const& source, Field const& phi, CompositeResidual::OfCharge const& f) {
+    residual_->for_each_charge(source, phi, f);
   }
 
   /// Norm of the largest single term of the Laplacian, the diagonal one: what rounding is relative to. Collective.

@@ -55,7 +55,7 @@ Stencil::Stencil(Level const& level, Layout const& layout, LevelFaces const& fac
     std::array<std::array<std::vector<Ghost>, 2>, 3> all;
     for (int axis = 0; axis < 3; ++axis)
       for (int side = 0; side < 2; ++side)
-        all[axis][side] = ghosts(level, layout, rules, block, faces[b].sides[std::size_t(2 * axis + side)], axis, side);
+        all[axis][side] = ghosts(level, layout, rules, metal, block, faces[b].sides[std::size_t(2 * axis + side)], axis, side);
     first_row_.push_back(std::int32_t(rows_.size()));
     first_composed_.push_back(std::int32_t(first_run_.size() - 1));
     add_rows(layout, b, all);
@@ -82,7 +82,8 @@ RowTable Stencil::table() const {
 
 /// The layer behind a face, cell by cell, the lower tangential axis fastest.
 std::vector<Ghost> Stencil::ghosts(Level const& level, Layout const& layout, GhostRules const& rules,
-                                   CellBlock const& block, Face const& face, int axis, int side) {
+                                   MetalCells const& metal, CellBlock const& block, Face const& face, int axis,
+                                   int side) {
   Box const& layer = face.layer;
   int const inward = side == 0 ? 1 : -1;
   bool const thick = block.box.extent(axis) > 1, ends = face.is_wall || face.has_coarser;
@@ -95,7 +96,11 @@ std::vector<Ghost> Stencil::ghosts(Level const& level, Layout const& layout, Gho
       if (row[i].source != nothing) continue;
       Index3 cell{first[0] + i, first[1], first[2]};
       cell[axis] += inward;
-      WallGhost const end = face.is_wall ? rules.walls[axis][side] : rules.inside(cell, axis, side);
+      WallGhost end = face.is_wall ? rules.walls[axis][side] : rules.inside(cell, axis, side);
+      if (!face.is_wall && rules.inside_beside_metal && !metal.empty())
+        if (auto const* const cut = metal.cut_at(level.wrapped(cell));
+            cut && cut->is_cut(std::size_t(2 * axis + 1 - side)))
+          end = *rules.inside_beside_metal;
       Ghost ghost{0, float(end.second), float(end.first)};
       if (face.is_wall && rules.more) ghost.first += float(rules.more(cell, axis, side));
       if (ghost.factor != 0) {
@@ -220,6 +225,16 @@ void Stencil::add_coefficients(Row* rows, CellBlock const& block,
       if (inside) inner[ends] = start;
       rows[row].coefficients = start;
     }
+}
+
+float Stencil::weight_beyond(std::size_t block, int ny, Index3 const& at, std::size_t side) const {
+  std::size_t const row = std::size_t(first_row_[block] + at[1] + ny * at[2]);
+  if (row < metal_of_.size() && metal_of_[row] >= 0) {
+    MetalRow const& metal = metal_rows_[std::size_t(metal_of_[row])];
+    for (int n = metal.first_cut; n < metal.first_cut + metal.cuts[0] + metal.cuts[1]; ++n)
+      if (cuts_[std::size_t(n)].place == at[0]) return cuts_[std::size_t(n)].weight[side];
+  }
+  return table_.weight[side / 2];
 }
 
 /// The equations of cut cells, and what makes solid ones zero: their steps.

@@ -318,3 +318,24 @@ def test_voltages_that_vary_and_guesses():
     assert said.cycles <= 1 and on_cells(again) == pytest.approx(on_cells(phi), abs=1e-8)
     later, said = solver.solve(nothing, guess=phi, time=0.5e-6)
     assert said.voltages["e"] == pytest.approx(-3) and on_cells(later) == pytest.approx(-on_cells(phi), abs=1e-7)
+
+
+def test_the_field_of_a_unit_potential_is_its_own():
+    """Whatever was solved last: E at the walls and beside electrodes is that of one electrode at 1 V."""
+    mesh = hierarchy(16, "open")
+    pair = [
+        Electrode("a", shapes.Sphere((-0.3, 0, 0), 0.25), voltage=3),
+        Electrode("b", shapes.Sphere((0.4, 0, 0), 0.2), voltage=-7),
+    ]
+    solver = PoissonSolver(mesh, electrodes=pair, tolerance=1e-10)
+    alone = PoissonSolver(mesh, electrodes=[Electrode("a", pair[0].shape, voltage=1), Electrode("b", pair[1].shape, voltage=0)])
+    phi, _ = alone.solve(Field(mesh))
+    expected = alone.electric_field(phi)
+    latest, _ = solver.solve(Field(mesh).fill(charge))
+    before = solver.electric_field(latest)
+    unit = solver.electric_field(solver.unit_potential("a"))
+    after = solver.electric_field(latest)
+    for axis in range(3):
+        size = abs(on_cells(expected.components[axis])).max()
+        assert on_cells(unit.components[axis]) == pytest.approx(on_cells(expected.components[axis]), abs=1e-5 * size)
+        assert np.array_equal(on_cells(after.components[axis]), on_cells(before.components[axis]))

@@ -259,7 +259,8 @@ ElectricField CompositeField::beside_metal(Field const& phi, std::vector<Walls> 
       field_plane(l, b, k, Where::everywhere, phi, at);
       mesh_.for_each_in_metal(
           l, b, k,
-          [&](CutCell const& cut, CutRow const& row, std::ptrdiff_t place) {
+          [&](CompositeMesh::CutHere const& here) {
+            auto const& [cut, row, place, inside] = here;
             for (std::size_t d = 0; d < 3; ++d) {
               if (row.surface[2 * d] == 0 && row.surface[2 * d + 1] == 0) continue;
               auto const line = ghosts_.line_through(l, b, cut, row, int(d), phi, walls, potentials);

@@ -18,6 +18,7 @@ CompositeMesh::CompositeMesh(std::shared_ptr<Hierarchy const> hierarchy, Real sh
     add_metal(l);
     if (l > 0) add_metal_faces(l);
     if (hierarchy_->has_finer(l)) add_refined_sides(l);
+    place_metal(l);
   }
   if (metal) has_metal_faces_ = comm().any(has_metal_faces_);
   for_each_box([&](int l, int b) {
@@ -92,6 +93,35 @@ void CompositeMesh::add_refined_sides(int l) {
         if (metal(l).cut_at(cell) || shared.count(number)) of_level.refined[{number, 2 * side.axis + side.side}] = s;
       });
     }
+}
+
+void CompositeMesh::place_metal(int l) {
+  OfLevel& of = metal_[std::size_t(l)];
+  MetalCells const& cells = metal(l);
+  for (int b = 0; b < boxes(l); ++b) {
+    Box const& own = box(l, b);
+    of.first_plane.push_back(std::int32_t(of.planes.size()));
+    for (int k = 0; k < own.extent(2); ++k) {
+      of.planes.push_back({std::int32_t(of.cuts.size()), std::int32_t(of.solids.size())});
+      for (int j = 0; j < own.extent(1); ++j) {
+        Index3 const first{own.lower[0], own.lower[1] + j, own.lower[2] + k};
+        auto const place = [&](Index3 const& cell) { return cell[0] - first[0] + j * own.extent(0); };
+        cells.for_each_cut(first, own.extent(0), [&](CutCell const& cut) {
+          Placed out{place(cut.cell), std::int32_t(&cut - cells.cut().data()), 0};
+          for (int side = 0; side < 6; ++side) {
+            Index3 next = cut.cell;
+            next[side / 2] += side % 2 == 0 ? -1 : 1;
+            if (own.contains(next) && !finer_beyond(l, cut.cell, side)) out.inside |= std::uint8_t(1 << side);
+          }
+          of.cuts.push_back(out);
+        });
+        cells.for_each_solid(first, own.extent(0), [&](SolidCell const& solid) {
+          of.solids.push_back({place(solid.cell), solid.electrode, 0});
+        });
+      }
+    }
+  }
+  of.planes.push_back({std::int32_t(of.cuts.size()), std::int32_t(of.solids.size())});
 }
 
 RefinedSide const* CompositeMesh::finer_beyond(int l, Index3 const& cell, int side) const {

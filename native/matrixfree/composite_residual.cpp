@@ -76,13 +76,17 @@ void SecondOrderResidual::residual_plane(int l, int b, int k, Source const& sour
 void SecondOrderResidual::residual_beside_metal(int l, int b, int k, Source const& source, Real const* cells) {
   std::ptrdiff_t const plane = mesh_.box(l, b).stride(2);
   Real const *const c = cells + k * plane, *const rho = source.rho.level(l).data() + mesh_.offset(l, b) + k * plane;
+  std::ptrdiff_t const pitch = mesh_.box(l, b).stride(1);
+  std::array<std::ptrdiff_t, 6> const step{-1, 1, -pitch, pitch, -plane, plane};
   mesh_.for_each_in_metal(
       l, b, k,
-      [&](CutCell const& cut, CutRow const& row, std::ptrdiff_t at) {
+      [&](CompositeMesh::CutHere const& here) {
+        auto const& [cut, row, at, inside] = here;
         Real sum = -row.diagonal * c[at];
         for (std::size_t side = 0; side < 6; ++side)
           if (row.neighbour[side] != 0)
-            sum += row.neighbour[side] * ghosts_.value_beyond(l, b, cut.cell, int(side), cells);
+            sum += row.neighbour[side] *
+                   (here.is_inside(side) ? c[at + step[side]] : ghosts_.value_beyond(l, b, cut.cell, int(side), cells));
         plane_[std::size_t(at)] =
             row.scale * source.background.right_hand_side(rho[at]) - sum - of_surfaces(l, b, cut, row, source);
       },
@@ -93,9 +97,9 @@ void SecondOrderResidual::right_hand_side_beside_metal(int l, int b, int k, Sour
   Real const* const rho = source.rho.level(l).data() + mesh_.offset(l, b) + k * mesh_.box(l, b).stride(2);
   mesh_.for_each_in_metal(
       l, b, k,
-      [&](CutCell const& cut, CutRow const& row, std::ptrdiff_t at) {
-        plane_[std::size_t(at)] =
-            row.scale * source.background.right_hand_side(rho[at]) - of_data(l, b, cut, row, source);
+      [&](CompositeMesh::CutHere const& here) {
+        plane_[std::size_t(here.place)] = here.row.scale * source.background.right_hand_side(rho[here.place]) -
+                                          of_data(l, b, here.cell, here.row, source);
       },
       [&](std::ptrdiff_t at, int) { plane_[std::size_t(at)] = 0; });
 }
@@ -195,7 +199,7 @@ void SecondOrderResidual::for_each_charge(Source const& source, Field const& phi
     };
     for (int k = 0; k < own.extent(2); ++k)
       mesh_.for_each_in_metal(
-          l, b, k, [&](CutCell const& cut, CutRow const& row, std::ptrdiff_t) { act(cut, row); },
+          l, b, k, [&](CompositeMesh::CutHere const& here) { act(here.cell, here.row); },
           [](std::ptrdiff_t, int) {});
     for (SharedFace const& face : mesh_.shared_faces(l)) {
       if (!own.contains(face.cell) || mesh_.is_covered(l, b, face.cell)) continue;
@@ -268,8 +272,8 @@ void SecondOrderResidual::diagonal_plane(int l, int b, int k, Field const& phi) 
   }
   mesh_.for_each_in_metal(
       l, b, k,
-      [&](CutCell const&, CutRow const& row, std::ptrdiff_t at) {
-        plane_[std::size_t(at)] = -row.diagonal * cells[at];
+      [&](CompositeMesh::CutHere const& here) {
+        plane_[std::size_t(here.place)] = -here.row.diagonal * cells[here.place];
       },
       [&](std::ptrdiff_t at, int) { plane_[std::size_t(at)] = 0; });
   mesh_.clear_covered(l, b, k, plane_.data());

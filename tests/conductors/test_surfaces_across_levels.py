@@ -21,7 +21,7 @@ def block(n, kind):
     """Return a refined box that begins in the middle of the domain along some axes."""
     begins = {"face": "x", "edge": "xz", "corner": "xyz", "inside": ""}[kind]
     lower = tuple(n if axis in begins else n // 2 for axis in "xyz")
-    return [[(lower, (2 * n - n // 4 - 1,) * 3)]]
+    return [[(lower, (2 * n - 8 * max(1, n // 24) - 1,) * 3)]]
 
 
 def mesh(n, kind, boundary="dirichlet", comm=MPI.COMM_SELF, size=512, upper=1.0) -> Hierarchy:
@@ -123,8 +123,8 @@ def charge(x, y, z):
 BODIES = {
     "sphere": [Electrode("ball", shapes.Sphere(tuple(OFF), 0.45), voltage=1)],
     "a ball and a disk that floats": [
-        Electrode("ball", shapes.Sphere((-0.34, 0.03, 0.02), 0.32), voltage=1),
-        Electrode("disk", shapes.Disk((0.24, 0.03, 0.02), (1, 2, 3), 0.4), charge=1e-12),
+        Electrode("ball", shapes.Sphere((-0.42, 0.03, 0.02), 0.3), voltage=1),
+        Electrode("disk", shapes.Disk((0.3, 0.03, 0.02), (1, 2, 3), 0.38), charge=1e-12),
     ],
     "tube": [
         Electrode(

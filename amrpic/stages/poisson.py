@@ -132,7 +132,9 @@ class PoissonSolver:
         metal = MetalOnMesh(self.electrodes, hierarchy.domain, chosen.stretch) if self.electrodes else None
         self._unit_potentials: list[Field] | None = None  # of each electrode at 1 V, when they are first needed
         self._unit_walls: list[list[np.ndarray]] = []  # what walls, open ones too, hold then
-        self._units: list[tuple[weakref.ref[Field], int]] = []  # such potentials that were handed out, and whose they are
+        self._units: list[
+            tuple[weakref.ref[Field], int]
+        ] = []  # such potentials that were handed out, and whose they are
         self._potentials: list[float] = []  # of electrodes, V, as the native solver has them
         self._capacitance: np.ndarray | None = None
         of_bottom = chosen.bottom, chosen.bottom_preconditioner, chosen.stretch, chosen.screening
@@ -365,8 +367,9 @@ class PoissonSolver:
 
         In fourth order from means over the faces; there `holds="means"` gives means over the cells.
 
-        Walls and electrodes count with the data of the latest solve, or of a `unit_potential` that is asked for. In cells that a finer level covers stands the mean of the children, or,
-        for `covered="difference"`, the central difference of the mean potentials, as matched clouds need it (see `Clouds`).
+        Walls and electrodes count with the data of the latest solve, or of a `unit_potential` that is asked for. In cells that
+        a finer level covers stands the mean of the children, or, for `covered="difference"`, the central difference of the
+        mean potentials, as matched clouds need it (see `Clouds`).
         """
         _one_of("holds", holds, get_args(Holds))
         if holds == "means" and self.options.order != 4:

@@ -136,8 +136,7 @@ void CompositeGhosts::fill_beside_metal(int l, int b, int axis, int side, Field 
     Real const* const coarse = coarse_.data() + i.margin + x + (i.margin + y) * coarse_pitch;
     FourStars<Real> stars{};
     for (auto const& term : face.cells) add_to_stars(stars, term.weight, coarse[term.i + term.j * coarse_pitch]);
-    for (auto const& term : face.surfaces)
-      add_to_stars(stars, term.weight, potentials[std::size_t(term.electrode)]);
+    for (auto const& term : face.surfaces) add_to_stars(stars, term.weight, potentials[std::size_t(term.electrode)]);
     Real sum = 0;
     for (std::size_t half = 0; half < 2; ++half)
       for (std::size_t a = 0; a < 2; ++a) {

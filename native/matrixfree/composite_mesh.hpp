@@ -205,8 +205,8 @@ class CompositeMesh {
     std::vector<std::int32_t> first_plane;  ///< of each box
     std::vector<Plane> planes;              ///< box after box, and the end
     std::vector<Placed> cuts, solids;
-    std::vector<CutRow> rows;                   ///< of cut cells
-    std::vector<std::vector<MetalFace>> faces;  ///< of each interface
+    std::vector<CutRow> rows;                                     ///< of cut cells
+    std::vector<std::vector<MetalFace>> faces;                    ///< of each interface
     std::map<std::pair<GlobalIndex, int>, std::int32_t> refined;  ///< of a cell's number in the domain, and its side
   };
   std::vector<OfLevel> metal_;

@@ -199,8 +199,7 @@ void SecondOrderResidual::for_each_charge(Source const& source, Field const& phi
     };
     for (int k = 0; k < own.extent(2); ++k)
       mesh_.for_each_in_metal(
-          l, b, k, [&](CompositeMesh::CutHere const& here) { act(here.cell, here.row); },
-          [](std::ptrdiff_t, int) {});
+          l, b, k, [&](CompositeMesh::CutHere const& here) { act(here.cell, here.row); }, [](std::ptrdiff_t, int) {});
     for (SharedFace const& face : mesh_.shared_faces(l)) {
       if (!own.contains(face.cell) || mesh_.is_covered(l, b, face.cell)) continue;
       if (auto const difference = ghosts_.difference_beyond(l, b, face.cell, int(face.side)))

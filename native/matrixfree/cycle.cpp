@@ -148,9 +148,15 @@ Cycle::Cycle(Communicator const& comm, MultigridLevels multigrid, int max_grid_s
     auto const* semicoarse = levels().semicoarse(c);
     Coarsening::Pair pair;
     if (!semicoarse)
-      pair = {
-          levels().refines(l), levels().parents_in_place[l] != 0, has_gaps[l] != 0, levels().beside(l).finer, gap_fits,
-          most_direct,         known ? &(*known)[l] : nullptr, metal, is_refined(c) ? levels().level(c - 1).get() : nullptr};
+      pair = {levels().refines(l),
+              levels().parents_in_place[l] != 0,
+              has_gaps[l] != 0,
+              levels().beside(l).finer,
+              gap_fits,
+              most_direct,
+              known ? &(*known)[l] : nullptr,
+              metal,
+              is_refined(c) ? levels().level(c - 1).get() : nullptr};
     return std::make_unique<Coarsening>(comm, this->swept(l), this->swept(c),
                                         semicoarse ? semicoarse->ratio : levels().ratio[l], pair,
                                         coarse_ghosts_of(levels(), open_walls, c));

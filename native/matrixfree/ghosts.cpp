@@ -55,7 +55,8 @@ Stencil::Stencil(Level const& level, Layout const& layout, LevelFaces const& fac
     std::array<std::array<std::vector<Ghost>, 2>, 3> all;
     for (int axis = 0; axis < 3; ++axis)
       for (int side = 0; side < 2; ++side)
-        all[axis][side] = ghosts(level, layout, rules, metal, block, faces[b].sides[std::size_t(2 * axis + side)], axis, side);
+        all[axis][side] =
+            ghosts(level, layout, rules, metal, block, faces[b].sides[std::size_t(2 * axis + side)], axis, side);
     first_row_.push_back(std::int32_t(rows_.size()));
     first_composed_.push_back(std::int32_t(first_run_.size() - 1));
     add_rows(layout, b, all);
@@ -221,7 +222,7 @@ void Stencil::add_coefficients(Row* rows, CellBlock const& block,
       if (j == ny - 1) subtract(1, 1, k);
       if (k == 0) subtract(2, 0, j);
       if (k == nz - 1) subtract(2, 1, j);
-      std::int32_t const start = pooled(block, diagonal, held);
+      std::int32_t const start = pooled(std::size_t(block.cells.pitch_y), diagonal, held);
       if (inside) inner[ends] = start;
       rows[row].coefficients = start;
     }
@@ -292,18 +293,13 @@ void Stencil::add_metal_row(Row& row, std::array<std::vector<CutPlace>, 2> const
   for (auto const& of_parity : cuts) cuts_.insert(cuts_.end(), of_parity.begin(), of_parity.end());
   solids_.insert(solids_.end(), solids.begin(), solids.end());
   if (solids.empty()) return;
-  std::size_t const start = pool_.size(), pitch = std::size_t(row.pitch), size = RowTable::held_place * pitch;
-  pool_.resize(start + (size + 15) / 16 * 16);  // coefficients of its own
-  std::copy_n(pool_.begin() + row.coefficients, size, pool_.begin() + std::ptrdiff_t(start));
-  for (SolidRun const& run : solids)
-    for (std::size_t parity : {1, 2})
-      std::fill_n(pool_.begin() + std::ptrdiff_t(start + parity * pitch) + run.place, run.count, 0.0f);
-  row.coefficients = std::int32_t(start);
+  auto const first = pool_.begin() + row.coefficients;
+  std::vector<float> diagonal(first, first + row.cells);
+  for (SolidRun const& run : solids) std::fill_n(diagonal.begin() + run.place, run.count, 0.0f);  // and no steps
+  row.coefficients = pooled(std::size_t(row.pitch), diagonal, {});
 }
 
-std::int32_t Stencil::pooled(CellBlock const& block, std::vector<float> const& diagonal,
-                             std::vector<float> const& held) {
-  std::size_t const pitch = std::size_t(block.cells.pitch_y);
+std::int32_t Stencil::pooled(std::size_t pitch, std::vector<float> const& diagonal, std::vector<float> const& held) {
   std::string key;
   auto const append = [&](auto const* values, std::size_t n) {
     key.append(reinterpret_cast<char const*>(values), n * sizeof *values);

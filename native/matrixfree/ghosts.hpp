@@ -31,7 +31,7 @@ struct GhostRules {
   std::function<Real(Index3 const&, int, int)> more = nullptr;
   /// Outside the level but inside the domain: cell, axis, side. Not called where the level covers the domain.
   std::function<WallGhost(Index3 const&, int, int)> inside = nullptr;
-  Real3 seam_width{1, 1, 1};  ///< of the last cell along a periodic axis, see `UpperEnd`
+  Real3 seam_width{1, 1, 1};                       ///< of the last cell along a periodic axis, see `UpperEnd`
   std::optional<WallGhost> inside_beside_metal{};  ///< as `inside`, where metal hides the second cell
 
   std::array<bool, 3> seams() const { return {seam_width[0] != 1, seam_width[1] != 1, seam_width[2] != 1}; }
@@ -83,7 +83,7 @@ class Stencil {
                  std::array<std::array<std::vector<Ghost>, 2>, 3> const& ghosts, Equation const& equation,
                  MetalCells const& metal, Row* rows);
   void add_metal_row(Row& row, std::array<std::vector<CutPlace>, 2> const& cuts, std::vector<SolidRun> const& solids);
-  std::int32_t pooled(CellBlock const& block, std::vector<float> const& diagonal, std::vector<float> const& held);
+  std::int32_t pooled(std::size_t pitch, std::vector<float> const& diagonal, std::vector<float> const& held);
 
   Real relaxation_;
   float shift_;

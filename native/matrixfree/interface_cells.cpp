@@ -57,8 +57,7 @@ InterfaceCells::InterfaceCells(Level const& level, Level const& coarser, Level c
         face.flux_weight = float(fine_face_weight) * coarse_weight[axis];
         face.axis = axis, face.side = side;
         face.parent_normal = patch.cells.stride(axis);
-        if (in_metal)
-          add_metal(face, parents, b, block, *in_metal, stencil, coarse_rows, metal.coarse_equation, fits);
+        if (in_metal) add_metal(face, parents, b, block, *in_metal, stencil, coarse_rows, metal.coarse_equation, fits);
         face.fits = fits_.size();
         fits_.insert(fits_.end(), fits.values().begin(), fits.values().end());
         add_gaps(face, fits, near, refined, level, finer, layout);
@@ -111,7 +110,8 @@ void InterfaceCells::add_metal(InterfaceSide const& face, Box const& parents, st
         out.second[b][a] = float(-coarse * beside->second(a, b));
       }
     for (auto const& term : beside->cells)
-      out.terms.push_back({term.i * std::ptrdiff_t(face.parent_u) + term.j * std::ptrdiff_t(face.parent_v), term.weight});
+      out.terms.push_back(
+          {term.i * std::ptrdiff_t(face.parent_u) + term.j * std::ptrdiff_t(face.parent_v), term.weight});
     metal_.push_back(std::move(out));
   });
 }

@@ -4,8 +4,8 @@
 
 #include "matrixfree/fits.hpp"
 #include "matrixfree/gap_window.hpp"
-#include "matrixfree/interface_acts.hpp"
 #include "matrixfree/ghosts.hpp"
+#include "matrixfree/interface_acts.hpp"
 #include "matrixfree/layout.hpp"
 #include "mesh/faces.hpp"
 #include "mesh/metal_faces.hpp"

@@ -26,8 +26,7 @@ std::vector<Box> boxes_of(Layout const& layout) {
 }  // namespace
 
 SweptLevel::SweptLevel(Communicator const& comm, std::shared_ptr<Level const> level, GhostRules const& rules,
-                       Faces const& boundary, Real shift, Relaxation const& relaxation, int halo,
-                       MetalIn const& metal)
+                       Faces const& boundary, Real shift, Relaxation const& relaxation, int halo, MetalIn const& metal)
     : level_(std::move(level)),
       scale_(smallest_spacing(*level_) * smallest_spacing(*level_)),
       equation_(scaled(equation_on(level_->spacing(), shift), scale_)),

@@ -108,7 +108,7 @@ class SweptLevel {
   PlaceAndDiagonal place_and_diagonal(Index3 const& cell) const;
   Vector& right_hand_side() { return r_; }
   Vector& correction() { return e_; }
-  Real scale() const { return scale_; }  ///< h²
+  Real scale() const { return scale_; }            ///< h²
   Equation equation() const { return equation_; }  ///< times that
 
   std::size_t bytes() const { return (r_.size() + e_.size()) * sizeof(float) + stencil_.bytes(); }

@@ -85,10 +85,10 @@ MetalCells Metal::found(std::vector<Box> const& boxes, Real3 const& spacing) con
   return known_.back().cells;
 }
 
-/// Add the cells whose arms miss metal that arms of finer levels meet there. Corrections that did not know of it, such as
-/// of a grid of wires, would overshoot without bound. Its hold is that of a potential that is constant in each coarse
-/// cell: the mean over the finest cells of what metal adds to their diagonals, each arm that it cuts as if it ended at a
-/// centre.
+/// Add the cells whose arms miss metal that arms of finer levels meet there. Corrections that did not know of it, such
+/// as of a grid of wires, would overshoot without bound. Its hold is that of a potential that is constant in each
+/// coarse cell: the mean over the finest cells of what metal adds to their diagonals, each arm that it cuts as if it
+/// ended at a centre.
 void Metal::add_thin(Level const& level, std::vector<Box> const& regions, std::vector<Level const*> const& finer,
                      MetalCells& cells) const {
   std::vector<CutCell> out = cells.cut();

@@ -96,7 +96,8 @@ class Metal {
  public:
   /// ask(boxes, spacing) finds those in disjoint boxes of cells, in any order; indices start at the lower corner of the
   /// domain. Called by one thread, the same numbers for a cell whatever the boxes.
-  using Ask = std::function<std::pair<std::vector<CutCell>, std::vector<SolidCell>>(std::vector<Box> const&, Real3 const&)>;
+  using Ask =
+      std::function<std::pair<std::vector<CutCell>, std::vector<SolidCell>>(std::vector<Box> const&, Real3 const&)>;
   Metal(int electrodes, Ask ask) : electrodes_(electrodes), ask_(std::move(ask)) {}
 
   int electrodes() const { return electrodes_; }

@@ -10,8 +10,8 @@ namespace amrpic {
 
 namespace {
 
-constexpr Real far_away = 1e9;     ///< arm where no surface is: the parabola through such an end is a line
-constexpr Real shortest = 0.25;    ///< arm from which alone a slope is taken
+constexpr Real far_away = 1e9;   ///< arm where no surface is: the parabola through such an end is a line
+constexpr Real shortest = 0.25;  ///< arm from which alone a slope is taken
 
 Box hull_of(MetalCells const& metal) {
   Box out;
@@ -248,8 +248,8 @@ std::optional<MetalFace> LevelsInMetal::beside_metal(CoarseFace const& face, Fit
   for (std::size_t p = 0; p < plane_corners.size(); ++p) {
     bool is_complete = true;
     for (int n = 0; is_complete && n < 9; ++n)
-      is_complete = is_usable(
-          moved(moved(face.coarse, u, plane_corners[p].first + n / 3), v, plane_corners[p].second + n % 3));
+      is_complete =
+          is_usable(moved(moved(face.coarse, u, plane_corners[p].first + n / 3), v, plane_corners[p].second + n % 3));
     if (!is_complete || !is_clean(face.coarse, face.axis, int(p))) continue;
     add_block(int(p), out);
     return out;

@@ -55,7 +55,9 @@ struct MetalFace {
 
   Real first(std::size_t a, std::size_t b) const { return linear[b][a] ? linear_ghost::first : interface_ghost::first; }
   Real second(std::size_t a, std::size_t b) const { return linear[b][a] ? 0 : interface_ghost::second; }
-  Real star(std::size_t a, std::size_t b) const { return linear[b][a] ? linear_ghost::coarse : interface_ghost::coarse; }
+  Real star(std::size_t a, std::size_t b) const {
+    return linear[b][a] ? linear_ghost::coarse : interface_ghost::coarse;
+  }
   Real of_links() const { return 4.0 / links; }  ///< weight of their differences in the coarse one
 };
 

@@ -130,8 +130,9 @@ Real Backend::residual() {
 
 Real Backend::find_residual() {
   Norm const norm = problem_.options.norm;
-  return phi_is_zero_ && composite_.has_residual_of_zero() ? composite_.residual_of_zero(*source_, norm, scale_, residual_)
-                      : composite_.residual(*source_, *phi_, norm, scale_, residual_);
+  return phi_is_zero_ && composite_.has_residual_of_zero()
+             ? composite_.residual_of_zero(*source_, norm, scale_, residual_)
+             : composite_.residual(*source_, *phi_, norm, scale_, residual_);
 }
 
 void Backend::improve() {

@@ -265,7 +265,8 @@ void PoissonSolver::add_mean(SolveReport& report, Field& phi, Real of_right_hand
 }
 
 /// `largest`: magnitude of f; `rounding`: see Removed.
-void PoissonSolver::iterate(SolveReport& report, Field const& rho, Field& phi, bool from_zero, Real largest, Real rounding) {
+void PoissonSolver::iterate(SolveReport& report, Field const& rho, Field& phi, bool from_zero, Real largest,
+                            Real rounding) {
   auto finish = [&](bool converged, std::string reason) {
     report.converged = converged;
     report.reason = std::move(reason);

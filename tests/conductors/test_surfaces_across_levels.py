@@ -39,7 +39,9 @@ def cells(hierarchy, field):
     """Yield places (x, y, z) and values of the uncovered cells of patches."""
     for patch in field.patches:
         h = hierarchy.domain.spacing / 2**patch.level
-        lines = [hierarchy.domain.lower[a] + (np.arange(patch.lower[a], patch.upper[a] + 1) + 0.5) * h[a] for a in range(3)]
+        lines = [
+            hierarchy.domain.lower[a] + (np.arange(patch.lower[a], patch.upper[a] + 1) + 0.5) * h[a] for a in range(3)
+        ]
         places = np.meshgrid(*lines, indexing="ij")
         uncovered = np.ones(patch.data.shape, bool)
         for box in hierarchy.boxes(patch.level + 1) if patch.level + 1 < hierarchy.levels else ():
@@ -55,7 +57,8 @@ def cells(hierarchy, field):
 
 def error(hierarchy, field, exact, outside) -> float:
     return max(
-        float(abs(values - exact(*places))[outside(*places)].max(initial=0)) for places, values in cells(hierarchy, field)
+        float(abs(values - exact(*places))[outside(*places)].max(initial=0))
+        for places, values in cells(hierarchy, field)
     )
 
 

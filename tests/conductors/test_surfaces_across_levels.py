@@ -1,4 +1,4 @@
-# mypy: disable-error-code="arg-type, call-overload"
+# mypy: disable-error-code="arg-type, call-overload, index"
 """Surfaces that cross faces between levels: exact for linear potentials, second order, few cycles, Gauss's law."""
 
 from __future__ import annotations

@@ -10,8 +10,8 @@ namespace amrpic {
 
 namespace {
 
-constexpr Real far_away = 1e9;   ///< arm where no surface is: the parabola through such an end is a line
-constexpr Real shortest = 0.25;  ///< arm from which alone a slope is taken
+constexpr Real far_away = 1e9;           ///< arm where no surface is: the parabola through such an end is a line
+constexpr Real shortest = wall_arm / 2;  ///< arm from which alone a slope is taken
 
 Box hull_of(MetalCells const& metal) {
   Box out;
@@ -184,7 +184,7 @@ std::optional<LevelsInMetal::End> LevelsInMetal::end(CoarseFace const& face, int
   // the coarse centre is half a cell from the one behind along each axis; of the coarse arms, a quarter
   std::array<std::size_t, 3> const there{std::size_t(2 * u + 1 - a), std::size_t(2 * v + 1 - b), outward};
   int on = solid ? solid->electrode : between(ghost, there, 0.5);
-  if (on < 0) on = between(coarse, {there[0] ^ 1, there[1] ^ 1, there[2] ^ 1}, 0.25);
+  if (on < 0) on = between(coarse, {there[0] ^ 1, there[1] ^ 1, there[2] ^ 1}, quarter(true));
   if (on < 0) return {};
   if (ghost && ghost->is_cut(outward)) return End{1 + ghost->arm[outward], ghost->electrode[outward]};
   return End{far_away, on};

@@ -8,14 +8,9 @@
 #include "mesh/fits_behind.hpp"
 #include "mesh/metal.hpp"
 #include "stencil/interface.hpp"
+#include "stencil/linear_ghost.hpp"
 
 namespace amrpic {
-
-/// Where phi_2 is not known, see `interface_ghost`, the line through phi* and phi_1.
-namespace linear_ghost {
-constexpr Real coarse = 2.0 / 3.0;
-constexpr Real first = 1.0 / 3.0;
-}  // namespace linear_ghost
 
 /// A face of a cell with four finer cells before it, seen from these: the cell lies behind it on a side of an axis.
 struct CoarseFace {

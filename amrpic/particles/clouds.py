@@ -80,6 +80,7 @@ class Clouds:
 
 PLAIN = Clouds()
 
+
 def are_cubes(widths: np.ndarray) -> bool:
     """Whether cells of these widths (3,) are cubes."""
     return bool(widths.max() <= CUBES * widths.min())

@@ -21,7 +21,7 @@ from ..scene.elements import MapElement
 from ..scene.scene import Scene
 from ..space_charge.solvers import Solvers
 from ..stages.diagnostics import moments
-from ..stages.encounters import native_aperture
+from ..stages.encounters import native_aperture, native_screen
 from .emitters import Emitter, emitters_of
 from .emitting_walls import EmittingWalls
 from .field_functions import FieldFunction, FieldFunctions
@@ -41,6 +41,7 @@ class Setup:
     external: ExternalFields  # of the scene's elements
     fields: FieldFunctions  # from Python
     apertures: list[_native.Aperture]
+    screens: list[_native.Screen]
     move: Mover
     solvers: Solvers
     emitters: tuple[Emitter, ...]  # the scene's sources
@@ -75,6 +76,7 @@ def set_up(comm: MPI.Comm, scene: Scene, fields: Sequence[FieldFunction] = ()) -
         ExternalFields.of_scene(scene, _maps(comm, scene)),
         FieldFunctions(comm, fields),
         [native_aperture(aperture) for aperture in scene.apertures],
+        [native_screen(screen) for screen in scene.screens],
         mover_of(scene),
         Solvers(
             scene.solver,

@@ -18,6 +18,7 @@ from .bunches import DescribedBunch, LatticeBunch
 from .diagnostics import Diagnostics
 from .domain import DomainSection
 from .elements import AnyElement
+from .lattice import Lattice
 from .motion import Motion, NoMotion, Reference
 from .obstacles import AnyAperture, Screen
 from .output import Output
@@ -61,6 +62,11 @@ class SceneParts(AnyScene):
     sources: list[AnySource] = Field(default=[], description="Surfaces from which particles come over time.")
     elements: list[AnyElement] = Field(
         default=[], description="Magnets, cavities and other fields along the beam line."
+    )
+    lattice: Lattice | None = Field(
+        default=None,
+        description="A lattice of another code, a file or a section: its elements, apertures and screens join those of the "
+        "scene, which then names none.",
     )
     apertures: list[AnyAperture] = Field(default=[], description="Holes in solids at which particles are lost.")
     screens: list[Screen] = Field(default=[], description="Planes where particles are recorded as they pass.")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from amrpic import Scene, Simulation
+from amrpic import _native
 from amrpic.errors import ParticleError
 from amrpic.mesh.domain import FACES, Domain
 from amrpic.mesh.window import Window
@@ -23,6 +24,7 @@ APERTURES = (
     RoundAperture(kind="round", radius=1.5),
 )
 PLANES = (-0.5, 0.0, 0.7)
+SCREENS = [_native.Screen(z) for z in PLANES]
 
 
 def columns(values: Any) -> np.ndarray:
@@ -135,7 +137,7 @@ def test_crossings_of_planes_in_both_directions_until_a_flight_is_lost():
     native = [native_aperture(APERTURES[0])]
     way = flights(start, end)
     lost = way.losses(native)
-    all_of, met = way.crossings(PLANES, way.losses([])), way.crossings(PLANES, lost)
+    all_of, met = way.crossings(SCREENS, way.losses([])), way.crossings(SCREENS, lost)
     z, dz = start[:, 2:], (end - start)[:, 2:]
     crosses = (z < PLANES) != (z + dz < PLANES)
     assert len(all_of) == crosses.sum() > 500
@@ -154,7 +156,7 @@ def test_crossings_of_planes_in_both_directions_until_a_flight_is_lost():
 def test_of_flights_that_follow_each_other_one_crosses():
     z = np.array([-1.0, -0.5, -0.5, 0.0, 0.3, 0.0, -0.2])  # two stops on planes
     path = np.stack([0 * z, 0 * z, z], axis=1)
-    met = flights(path[:-1], path[1:]).crossings(PLANES, flights(path[:0], path[:0]).losses([]))
+    met = flights(path[:-1], path[1:]).crossings(SCREENS, flights(path[:0], path[:0]).losses([]))
     assert [(PLANES[w], d) for w, d in zip(met.what, met.direction, strict=True)] == [(-0.5, 1), (0.0, 1), (0.0, -1)]
 
 
@@ -247,7 +249,7 @@ def test_a_window_that_moves_and_turns_leaves_apertures_and_planes_in_the_labora
     moving = flights(seen[0], seen[1], WIDE, before, after)
     for a, b in (
         (still.losses(native), moving.losses(native)),
-        (still.crossings(PLANES, still.losses([])), moving.crossings(PLANES, moving.losses([]))),
+        (still.crossings(SCREENS, still.losses([])), moving.crossings(SCREENS, moving.losses([]))),
     ):
         assert len(a) > 100 and np.array_equal(a.flight, b.flight) and np.array_equal(a.what, b.what)
         np.testing.assert_allclose(a.share, b.share, rtol=0, atol=1e-11)
@@ -274,7 +276,9 @@ def test_flights_through_any_number_of_periods_meet_what_a_line_of_copies_has():
     start = rng.uniform(-0.9, 0.9, (40, 3)) * (0.1, 0.1, 1)
     way = np.stack([np.zeros(40), np.zeros(40), rng.choice([-1, 1], 40) * 10.0 ** rng.uniform(0, 2.5, 40)], axis=1)
     end = start + way
-    met = flights(start, end, periodic).crossings(planes, flights(start[:0], end[:0], periodic).losses([]))
+    met = flights(start, end, periodic).crossings(
+        [_native.Screen(z) for z in planes], flights(start[:0], end[:0], periodic).losses([])
+    )
     wanted = []
     for n, (z, to) in enumerate(zip(start[:, 2], end[:, 2], strict=True)):
         for what, plane in enumerate(planes):
@@ -309,7 +313,7 @@ def test_a_particle_that_steps_over_a_periodic_face_is_recorded_once_on_either_s
         z, counts = 0.5, np.zeros(3, int)
         for _ in range(40):
             way = flights([[0, 0, z]], [[0, 0, z + step]], periodic)
-            met = way.crossings((-1.0, 0.0, 1.0), way.losses([]))
+            met = way.crossings([_native.Screen(z) for z in (-1.0, 0.0, 1.0)], way.losses([]))
             counts += np.bincount(met.what, minlength=3)
             z = (z + step + 1) % 2 - 1
         assert np.all(np.abs(counts - 40 * abs(step) / 2) <= 1) and counts[0] == counts[2], (step, counts)

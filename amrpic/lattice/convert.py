@@ -15,6 +15,7 @@ from .orbit import START, Frame, chord, exit_of, middle
 from .pieces import Hole, Line, Piece, Reference
 
 Section = dict[str, Any]  # as a scene file has it
+GAP = 0.1  # m, length of a cavity that has none
 MULTIPOLES = 6  # orders from 0 that a multipole has
 
 
@@ -24,7 +25,7 @@ class Settings:
 
     drift_for_missing: bool = False  # what has no counterpart is a drift, or left out of an element
     reach: float = 0.5  # m, from their axes, within which elements act
-    thin: float = 1e-3  # m, length of what has none
+    thin: float = 1e-3  # m, length of what has none; cavities, whose ends are smooth, get GAP
     start: Frame = START
 
 
@@ -92,7 +93,7 @@ def _convert(one: Placed, out: Converted, settings: Settings, names: set[str]) -
     frame = middle(one.entry, piece)
     makes = {"magnet": _magnet, "bend": _bend, "solenoid": _solenoid, "cavity": _cavity}
     if piece.kind in makes:
-        length = chord(piece) or settings.thin
+        length = chord(piece) or (GAP if piece.kind == "cavity" else settings.thin)
         section = makes[piece.kind](piece, length, out.reference, one)
         if section is not None:
             out.elements.append(

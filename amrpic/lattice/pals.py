@@ -69,8 +69,8 @@ class _File:
             if name == "use":
                 self.used = str(value)
             elif name in ("constants", "variables"):
-                pairs = value.items() if isinstance(value, Mapping) else ()
-                self.names |= {key: self.number(written, key) for key, written in pairs}
+                for key, written in value.items() if isinstance(value, Mapping) else ():
+                    self.names[key] = self.number(written, key)
             elif not isinstance(value, Mapping):
                 self.refuse(f"{name} has no keys; give it a kind")
             elif value.get("kind") == "Lattice":

@@ -125,7 +125,7 @@ def test_a_coasting_kv_beam_keeps_its_emittance_and_has_the_tune_of_theory(host)
     domain = amrpic.Domain(
         (-2.2 * axes.max(), -2.2 * axes.max(), 0.0),
         (2.2 * axes.max(), 2.2 * axes.max(), period),
-        (48, 48, 4),
+        (64, 64, 4),
         {"z": "periodic"},
     )
     line = ring(host)

@@ -169,13 +169,20 @@ def transverse() -> np.ndarray:
     h = 0.2617993877991494 / 0.5
     out = []
     for sign, weak in ((1, h**2), (-1, 0.0)):
-        half, drift, middle, sector = magnet(0.1, sign * 2.5), magnet(0.2, 0), magnet(0.2, -sign * 2.5), magnet(0.5, weak)
+        half, drift, middle, sector = (
+            magnet(0.1, sign * 2.5),
+            magnet(0.2, 0),
+            magnet(0.2, -sign * 2.5),
+            magnet(0.5, weak),
+        )
         out.append(half @ drift @ sector @ drift @ middle @ drift @ sector @ drift @ half)
     return np.array(out)
 
 
 def test_a_ring_closes(tmp_path):
-    file = written(tmp_path, f"PALS:\n  facility:{CELL}    - all: {{kind: BeamLine, line: [begin, cell: {{repeat: 12}}]}}\n")
+    file = written(
+        tmp_path, f"PALS:\n  facility:{CELL}    - all: {{kind: BeamLine, line: [begin, cell: {{repeat: 12}}]}}\n"
+    )
     end = Lattice(file=str(file)).converted().end
     assert np.abs(end.origin).max() < 1e-12 and np.abs(end.axes - np.eye(3)).max() < 1e-12
 
@@ -191,7 +198,9 @@ def test_a_ring_has_the_tunes_of_its_matrix(tmp_path):
     turn = back @ matrix(found)
     for plane, cell in enumerate(transverse()):
         rows = slice(2 * plane, 2 * plane + 2)
-        tunes = [np.arccos(np.trace(of) / 2) / (2 * np.pi) for of in (turn[rows, rows], np.linalg.matrix_power(cell, CELLS))]
+        tunes = [
+            np.arccos(np.trace(of) / 2) / (2 * np.pi) for of in (turn[rows, rows], np.linalg.matrix_power(cell, CELLS))
+        ]
         assert tunes[0] == pytest.approx(tunes[1], abs=1e-4)
 
 
@@ -206,7 +215,9 @@ def test_sequences_of_madx_give_the_same_elements(tmp_path):
     for one, other in zip(ours.elements, theirs.elements, strict=True):
         assert one["name"] == other["name"] and set(one) == set(other)
         for key in set(one) - {"name", "kind"}:
-            assert np.asarray(one[key], dtype=float) == pytest.approx(np.asarray(other[key], dtype=float), abs=1e-9), key
+            assert np.asarray(one[key], dtype=float) == pytest.approx(np.asarray(other[key], dtype=float), abs=1e-9), (
+                key
+            )
 
 
 @pytest.mark.long
@@ -227,10 +238,13 @@ def test_transfer_matrices_are_those_of_xtrack(tmp_path, monkeypatch):
 
 def test_a_line_of_steps_of_second_order(tmp_path):
     """Faces at an angle, which cut steps at places that go with x, leave the derivative by x of second order."""
-    text = HEAD + """
+    text = (
+        HEAD
+        + """
     - m: {kind: Bend, length: 0.5, BendP: {angle_ref: 0.2, e1: 0.3, e2: 0.2}}
     - all: {kind: BeamLine, line: [begin, a: {kind: Drift, length: 0.2}, m, b: {kind: Drift, length: 0.4}]}
 """
+    )
     file = written(tmp_path, text)
     steps = 2e-10, 1e-10, 5e-11
     h, drift = 0.4, [np.array([[1.0, length], [0, 1]]) for length in (0.2, 0.4)]

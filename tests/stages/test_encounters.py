@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from amrpic import Scene, Simulation
-from amrpic import _native
+from amrpic import Scene, Simulation, _native
 from amrpic.errors import ParticleError
+from amrpic.mesh.directions import axes
 from amrpic.mesh.domain import FACES, Domain
 from amrpic.mesh.window import Window
-from amrpic.scene.obstacles import EllipticAperture, RectangularAperture, RoundAperture
-from amrpic.stages.encounters import Flights, native_aperture
+from amrpic.scene.obstacles import EllipticAperture, RectangularAperture, RoundAperture, Screen
+from amrpic.stages.encounters import Encounters, Flights, native_aperture, native_screen
 
 HERE = Window()
 WIDE = Domain((-20, -20, -20), (20, 20, 20), (8, 8, 8))
@@ -24,6 +24,7 @@ APERTURES = (
     RoundAperture(kind="round", radius=1.5),
 )
 PLANES = (-0.5, 0.0, 0.7)
+NO = Encounters(*(np.zeros(0, int) for _ in range(5)))
 SCREENS = [_native.Screen(z) for z in PLANES]
 
 
@@ -345,3 +346,29 @@ def test_a_flight_too_long_to_be_followed_is_refused_on_all_ranks(comm):
     simulation = Simulation(comm, Scene.from_dict(scene))
     with pytest.raises(ParticleError, match=r"7.57e\+04 periods of the domain in a step.*; shorten motion.dt"):
         simulation.advance()
+
+
+@pytest.mark.parametrize("kind", ["round", "rectangular"])
+def test_turned_apertures_and_screens_are_those_along_z_turned(kind):
+    rng = np.random.default_rng(9)
+    direction, centre = (0.5, -0.3, -0.8), (0.1, 0.2, -0.1)
+    frame = np.array(axes(direction, 0.4))
+    hole: dict[str, Any] = {"radius": 0.5} if kind == "round" else {"half_widths": (0.4, 0.7)}
+    shape = RoundAperture if kind == "round" else RectangularAperture
+    own = rng.uniform(-1, 1, (2, 300, 3))
+    turned = [values @ frame + centre for values in own]
+    straight, other = flights(own[0], own[1], WIDE), flights(turned[0], turned[1], WIDE)
+    plain = shape(kind=kind, length=0.3, **hole)
+    placed = shape(kind=kind, length=0.3, centre=centre, direction=direction, roll=0.4, **hole)
+    screens = Screen(name="a", z=0.2), Screen(name="b", centre=tuple(0.2 * frame[2] + centre), direction=direction)
+    pairs = [
+        (straight.losses([native_aperture(plain)]), other.losses([native_aperture(placed)])),
+        (straight.crossings([native_screen(screens[0])], NO), other.crossings([native_screen(screens[1])], NO)),
+    ]
+    for one, two in pairs:
+        assert len(one) > 50 and np.array_equal(one.flight, two.flight)
+        np.testing.assert_allclose(one.share, two.share, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(one.place @ frame + centre, two.place, rtol=0, atol=1e-12)
+    reach = placed.model_copy(update={"reach": 0.8})
+    found = other.losses([native_aperture(reach)])
+    assert set(found.flight) == {n for n in pairs[0][0].flight if np.hypot(*own[0][n, :2]) <= 0.8}

@@ -94,7 +94,7 @@ def _piece(name: str, element: Any) -> Piece:
             "cavity",
             voltage=float(of.get("voltage", 0.0)),
             frequency=float(of.get("frequency", 0.0)),
-            phase=math.pi / 2 - lag,  # V sin(lag - ω Δt) there
+            phase=lag - math.pi / 2,  # V sin(lag + ω Δt) there, Δt of a late particle
             **shared,
         )
     return Piece(name, "unknown", **shared)

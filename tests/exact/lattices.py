@@ -23,7 +23,7 @@ b1: sbend, l=0.5, angle=0.2, e1=0.05, e2=-0.03;
 b2: sbend, l=0.4, angle=-0.15;
 r1: rbend, l=0.4, angle=0.1;
 so: solenoid, l=0.3, ks=0.5;
-c1: rfcavity, l=0.0, volt=0.002, freq=20, lag=0.5;
+c1: rfcavity, l=0.0, volt=0.0004, freq=20, lag=0.5;
 hk: hkicker, l=0.1, kick=1e-4;
 vk: vkicker, l=0.1, kick=2e-4;
 sx: sextupole, l=0.1, k2=3;
@@ -45,7 +45,7 @@ PALS:
     - b2: {kind: Bend, length: 0.4, BendP: {angle_ref: -0.15}}
     - r1: {kind: Bend, BendP: {angle_ref: 0.1, L_chord: 0.4, e1_rect: 0.0, e2_rect: 0.0}}
     - so: {kind: Solenoid, length: 0.3, SolenoidP: {Ksol: 0.5}}
-    - c1: {kind: RFCavity, RFP: {voltage: 2.0e3, frequency: 2.0e7, phase: -0.25}}
+    - c1: {kind: RFCavity, RFP: {voltage: 4.0e2, frequency: 2.0e7, phase: 0.25}}
     - hk: {kind: Kicker, length: 0.1, MagneticMultipoleP: {Kn0L: -1.0e-4}}
     - vk: {kind: Kicker, length: 0.1, MagneticMultipoleP: {Ks0L: 2.0e-4}}
     - sx: {kind: Sextupole, length: 0.1, MagneticMultipoleP: {Kn2: 3.0}}
@@ -70,8 +70,10 @@ def matrix(ends: np.ndarray) -> np.ndarray:
     return ((ends[1:7] - ends[7:]) / (2 * STEPS)[:, None]).T
 
 
-def tracked(file: Path, dt: float) -> np.ndarray:
-    """Where `starts` come to at the end of a lattice, (13, 6), by a run without charge with about this time step (s)."""
+def tracked(file: Path, dt: float, from_end: float = FROM_END) -> np.ndarray:
+    """Where `starts` come to at the end of a lattice, (13, 6), by a run without charge with about this time step (s).
+
+    It goes to so many m before the end, in a drift."""
     of = Lattice(file=str(file)).converted()
     reference, begin = of.reference, starts()
     p0, mc = reference.momentum, reference.species.mass * SPEED_OF_LIGHT
@@ -81,7 +83,7 @@ def tracked(file: Path, dt: float) -> np.ndarray:
     places = np.stack([begin[:, 0], begin[:, 2], np.zeros(13)], axis=1)
     places += velocity * (begin[:, 4] / reference.speed)[:, None]
     length = sum(one.piece.length for one in of.placed)
-    time = (length - FROM_END) / reference.speed
+    time = (length - from_end) / reference.speed
     steps = int(np.ceil(time / dt))
     scene: dict[str, Any] = {
         "domain": {"lower": -0.05, "upper": 0.05, "cells": 8, "boundary": "open"},

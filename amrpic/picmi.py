@@ -1,7 +1,7 @@
 """Runs described by PICMI, the particle-in-cell modelling interface: `from amrpic import picmi` (`pip install picmistandard`).
 
-Electrostatic runs in three dimensions: `ElectrostaticSolver` on a `Cartesian3DGrid`, species with distributions that are drawn or
-given, fields that are applied, diagnostics. What a script asks for besides is refused in one sentence. u is γ v, in m/s.
+Electrostatic runs in three dimensions: `ElectrostaticSolver` on a `Cartesian3DGrid`, species with distributions that are drawn
+or given, fields that are applied, diagnostics. What a script asks for besides is refused in one sentence. u is γ v, in m/s.
 """
 
 from __future__ import annotations
@@ -61,8 +61,10 @@ class GaussianBunchDistribution(picmistandard.PICMI_GaussianBunchDistribution):
         """Return places (n, 3) in m, u (n, 3) in m/s and weights (n,)."""
         places = np.array(self.centroid_position) + np.array(self.rms_bunch_size) * rng.normal(size=(number, 3))
         spread = np.array(self.rms_velocity) * rng.normal(size=(number, 3))
-        u = np.array(self.centroid_velocity) + spread + np.array(self.velocity_divergence) * (
-            places - np.array(self.centroid_position)
+        u = (
+            np.array(self.centroid_velocity)
+            + spread
+            + np.array(self.velocity_divergence) * (places - np.array(self.centroid_position))
         )
         return places, u, np.full(number, self.n_physical_particles / max(number, 1))
 
@@ -129,9 +131,7 @@ class ConstantAppliedField(picmistandard.PICMI_ConstantAppliedField):
         """Return it as an element of a scene."""
         if any(bound is not None for bound in [*self.lower_bound, *self.upper_bound]):
             raise InputError("bounds of a ConstantAppliedField are not taken; leave them out")
-        electric, magnetic = (
-            [float(getattr(self, f"{kind}{axis}") or 0.0) for axis in "xyz"] for kind in ("E", "B")
-        )
+        electric, magnetic = ([float(getattr(self, f"{kind}{axis}") or 0.0) for axis in "xyz"] for kind in ("E", "B"))
         return {"kind": "uniform", "electric_field": electric, "magnetic_field": magnetic}
 
 
@@ -218,7 +218,9 @@ class Simulation(picmistandard.PICMI_Simulation):
             yield [FACES[condition] for condition in pair]
 
     def _shape(self) -> str:
-        shape = next((one.particle_shape for one in self.species if one.particle_shape is not None), self.particle_shape)
+        shape = next(
+            (one.particle_shape for one in self.species if one.particle_shape is not None), self.particle_shape
+        )
         name = ORDERS[shape] if isinstance(shape, int) and shape < len(ORDERS) else shape
         if name is not None and name not in SHAPES:
             warnings.warn(f"particle_shape {shape!r} becomes quadratic, the smoothest there is", stacklevel=3)
@@ -307,7 +309,9 @@ def _values(expression: str, places: Array, parameters: dict[str, Any]) -> Array
     try:
         value = eval(expression.replace("^", "**"), {"__builtins__": {}}, names)
     except Exception as refused:
-        raise InputError(f"the expression {expression!r:.80} has no value ({type(refused).__name__}: {refused})") from None
+        raise InputError(
+            f"the expression {expression!r:.80} has no value ({type(refused).__name__}: {refused})"
+        ) from None
     return np.broadcast_to(np.asarray(value, dtype=float), len(places))
 
 

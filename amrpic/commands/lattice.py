@@ -51,8 +51,8 @@ def _lines(chosen: argparse.Namespace, lattice: Lattice) -> Iterator[str]:
     length = sum(one.piece.length for one in of.placed)
     x, y, z = of.end.origin.tolist()
     yield f"{length:.6g} m from end to end, which is at x = {x:.6g}, y = {y:.6g}, z = {z:.6g} m"
-    momentum = of.reference.rigidity
-    yield f"{of.reference.species.name or 'reference'} of p/q = {momentum:.6g} T m: {len(of.elements)} elements, {len(of.apertures)} apertures, {len(of.screens)} screens"
+    counts = f"{len(of.elements)} elements, {len(of.apertures)} apertures, {len(of.screens)} screens"
+    yield f"{of.reference.species.name or 'reference'} of p/q = {of.reference.rigidity:.6g} T m: {counts}"
     path = Path(chosen.output) / f"{Path(chosen.file).name.split('.')[0]}_lattice.png"
     drawn(of).savefig(path, dpi=120)
     yield f"{path} shows it"

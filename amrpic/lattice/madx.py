@@ -44,7 +44,7 @@ def read(file: str, line: str | None = None) -> Line:
 def of_xtrack(line: Any) -> Line:
     """Return a line of xtrack."""
     elements = line.element_dict
-    names = [name for name in line.element_names]
+    names = list(line.element_names)
     holes: dict[str, Hole] = {}
     pieces = []
     for name in names:

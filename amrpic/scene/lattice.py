@@ -28,7 +28,7 @@ class Lattice(Section):
     """A lattice of another code."""
 
     file: str = Field(
-        description="In YAML of PALS (.yaml), or a sequence of MAD-X, which xtrack reads. A relative path starts at the scene file."
+        description="In YAML of PALS (.yaml), or a sequence of MAD-X, which xtrack reads; relative to the scene file."
     )
     line: str | None = Field(default=None, description="Which line, branch or sequence, if the file has several.")
     species: Species | None = Field(default=None, description="In place of what the file says.")

@@ -68,9 +68,9 @@ def test_a_sphere_of_electrons_expands_as_it_should(picmi):
     assert run.step == steps
     charge = DENSITY * ELEMENTARY_CHARGE * 4 / 3 * np.pi * RADIUS**3
     strength = charge * ELEMENTARY_CHARGE / (4 * np.pi * VACUUM_PERMITTIVITY * ELECTRON_MASS)
-    radius = solve_ivp(
-        lambda _, r: [r[1], strength / r[0] ** 2], (0, run.time), [RADIUS, 0], rtol=1e-10, atol=1e-15
-    ).y[0, -1]
+    radius = solve_ivp(lambda _, r: [r[1], strength / r[0] ** 2], (0, run.time), [RADIUS, 0], rtol=1e-10, atol=1e-15).y[
+        0, -1
+    ]
     after = np.sqrt((run.particles.position**2).sum(axis=1).mean())
     assert radius > 1.5 * RADIUS
     assert after / before == pytest.approx(radius / RADIUS, rel=5e-3)

@@ -38,8 +38,8 @@ class Scene(SceneParts):
         match data.get("lattice"):
             case str() as file:
                 data["lattice"] = {"file": str(folder / file)}
-            case {"file": str() as file} as lattice:
-                lattice["file"] = str(folder / file)
+            case {"file": str() as file, **rest}:
+                data["lattice"] = {**rest, "file": str(folder / file)}
         for key in ("bunches", "sources", "elements"):
             members = data.get(key)
             for member in members if isinstance(members, list) else []:

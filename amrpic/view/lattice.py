@@ -50,11 +50,8 @@ def drawn(of: Converted) -> Figure:
 def _corners(one: Placed, width: float) -> np.ndarray:
     """Return the corners (4, 2) of an element in z and x."""
     frame, half = middle(one.entry, one.piece), max(chord(one.piece), width / 4) / 2
-    corners = [
-        frame.moved(x, 0, z).origin
-        for x, z in ((-1, -1), (1, -1), (1, 1), (-1, 1))
-        for x, z in [(x * width / 2, z * half)]
-    ]
+    signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+    corners = [frame.moved(x * width / 2, 0, z * half).origin for x, z in signs]
     return np.array(corners)[:, [2, 0]]
 
 

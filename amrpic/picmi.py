@@ -112,7 +112,7 @@ class GriddedLayout(picmistandard.PICMI_GriddedLayout):
     """So many particles per cell; they are drawn."""
 
 
-class Species(picmistandard.PICMI_Species):
+class PICMISpecies(picmistandard.PICMI_Species):
     """Particles of one kind."""
 
     def real(self) -> RealSpecies:
@@ -122,6 +122,9 @@ class Species(picmistandard.PICMI_Species):
         charge = _number(self.charge, by_name.charge if by_name else None, "charge")
         mass = _number(self.mass, by_name.mass if by_name else None, "mass")
         return RealSpecies(name=self.name or self.particle_type or "species", charge=charge, mass=mass)
+
+
+Species = PICMISpecies
 
 
 class ConstantAppliedField(picmistandard.PICMI_ConstantAppliedField):

@@ -12,7 +12,7 @@ from mpi4py import MPI
 from ..errors import InputError
 from ..lattice.convert import Converted
 from ..parallel import from_rank_0
-from ..scene.lattice import Lattice
+from ..scene.lattice import LatticeSection
 from ..view.lattice import drawn
 from .arguments import Commands, command
 from .text_table import columns
@@ -36,19 +36,21 @@ def add(commands: Commands) -> None:
 def _lattice(chosen: argparse.Namespace) -> int:
     options = {key: getattr(chosen, key) for key in ("line", "missing", "species", "kinetic_energy")}
     given: dict[str, Any] = {key: value for key, value in options.items() if value is not None}
-    lines = from_rank_0(MPI.COMM_WORLD, lambda: list(_lines(chosen, Lattice(file=chosen.file, **given))), InputError)
+    lines = from_rank_0(
+        MPI.COMM_WORLD, lambda: list(_lines(chosen, LatticeSection(file=chosen.file, **given))), InputError
+    )
     if MPI.COMM_WORLD.rank == 0:
         print(*lines, sep="\n")
     return 0
 
 
-def _lines(chosen: argparse.Namespace, lattice: Lattice) -> Iterator[str]:
+def _lines(chosen: argparse.Namespace, lattice: LatticeSection) -> Iterator[str]:
     """Yield a table and a summary; draw the picture."""
     of = lattice.converted()
     head = ("element", "in the file", "s", "length", "x", "y", "z", "becomes")
     yield from columns([head, *_rows(of)])
     yield ""
-    length = sum(one.piece.length for one in of.placed)
+    length = sum(placed.piece.length for placed in of.placed)
     x, y, z = of.end.origin.tolist()
     yield f"{length:.6g} m from end to end, which is at x = {x:.6g}, y = {y:.6g}, z = {z:.6g} m"
     counts = f"{len(of.elements)} elements, {len(of.apertures)} apertures, {len(of.screens)} screens"
@@ -59,13 +61,13 @@ def _lines(chosen: argparse.Namespace, lattice: Lattice) -> Iterator[str]:
 
 
 def _rows(of: Converted) -> Iterator[tuple[str, ...]]:
-    for one in of.placed:
-        place = (f"{value:.6g}" for value in one.entry.origin.tolist())
+    for placed in of.placed:
+        place = (f"{value:.6g}" for value in placed.entry.origin.tolist())
         yield (
-            one.piece.name,
-            one.piece.called or one.piece.kind,
-            f"{one.s:.6g}",
-            f"{one.piece.length:.6g}",
+            placed.piece.name,
+            placed.piece.called or placed.piece.kind,
+            f"{placed.s:.6g}",
+            f"{placed.piece.length:.6g}",
             *place,
-            ", ".join(one.became),
+            ", ".join(placed.became),
         )

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from .orbit import START, Frame, chord, exit_of, middle
-from .pieces import Hole, Line, Piece, Reference
+from .orbit import START, OrbitFrame, chord, exit_of, middle
+from .pieces import Beamline, Hole, LatticePiece, LatticeReference
 
 Section = dict[str, Any]  # as a scene file has it
 GAP = 0.1  # m, length of a cavity that has none
@@ -20,22 +20,22 @@ MULTIPOLES = 6  # orders from 0 that a multipole has
 
 
 @dataclass(frozen=True)
-class Settings:
+class LatticeSettings:
     """How a lattice becomes part of a scene."""
 
     drift_for_missing: bool = False  # what has no counterpart is a drift, or left out of an element
     reach: float = 0.5  # m, from their axes, within which elements act
     thin: float = 1e-3  # m, length of what has none; cavities, whose ends are smooth, get GAP
-    start: Frame = START
+    start: OrbitFrame = START
 
 
 @dataclass
-class Placed:
+class PlacedPiece:
     """A piece, where it is, and what became of it."""
 
-    piece: Piece
+    piece: LatticePiece
     s: float  # m, of its entry
-    entry: Frame
+    entry: OrbitFrame
     became: list[str] = field(default_factory=list)
 
 
@@ -43,19 +43,19 @@ class Placed:
 class Converted:
     """What a scene gets of a lattice."""
 
-    reference: Reference
-    placed: list[Placed]
-    end: Frame
+    reference: LatticeReference
+    placed: list[PlacedPiece]
+    end: OrbitFrame
     elements: list[Section] = field(default_factory=list)
     apertures: list[Section] = field(default_factory=list)
     screens: list[Section] = field(default_factory=list)
 
 
-def converted(line: Line, reference: Reference, settings: Settings) -> Converted:
+def converted(line: Beamline, reference: LatticeReference, settings: LatticeSettings) -> Converted:
     """Return the sections of a lattice. InputError, by name and place, for what has no counterpart."""
     placed, s, frame = [], 0.0, settings.start
     for piece in line.pieces:
-        placed.append(Placed(piece, s, frame))
+        placed.append(PlacedPiece(piece, s, frame))
         s, frame = s + piece.length, exit_of(frame, piece)
     out = Converted(reference, placed, frame)
     missing = [problem for one in placed for problem in _missing(one)]
@@ -70,7 +70,7 @@ def converted(line: Line, reference: Reference, settings: Settings) -> Converted
     return out
 
 
-def _missing(one: Placed) -> list[str]:
+def _missing(one: PlacedPiece) -> list[str]:
     piece = one.piece
     where = f"{piece.name} at s = {one.s:.6g} m"
     if piece.kind == "unknown":
@@ -78,7 +78,7 @@ def _missing(one: Placed) -> list[str]:
     return [f"{where} has {what}, which has no counterpart" for what in _lacking(piece)]
 
 
-def _lacking(piece: Piece) -> list[str]:
+def _lacking(piece: LatticePiece) -> list[str]:
     out = list(piece.lacking)
     orders = {n for of in (piece.normal, piece.skew) for n, strength in of.items() if strength != 0}
     if piece.kind == "bend" and orders:
@@ -88,7 +88,7 @@ def _lacking(piece: Piece) -> list[str]:
     return out
 
 
-def _convert(one: Placed, out: Converted, settings: Settings, names: set[str]) -> None:
+def _convert(one: PlacedPiece, out: Converted, settings: LatticeSettings, names: set[str]) -> None:
     piece = one.piece
     frame = middle(one.entry, piece)
     makes = {"magnet": _magnet, "bend": _bend, "solenoid": _solenoid, "cavity": _cavity}
@@ -112,14 +112,14 @@ def _convert(one: Placed, out: Converted, settings: Settings, names: set[str]) -
         one.became.append("drift" if piece.length else "–")
 
 
-def _place(frame: Frame) -> Section:
+def _place(frame: OrbitFrame) -> Section:
     section: Section = {"centre": frame.origin.tolist(), "direction": list(frame.direction)}
     if abs(frame.roll) > 1e-15:
         section["roll"] = frame.roll
     return section
 
 
-def _magnet(piece: Piece, length: float, reference: Reference, _: Placed) -> Section | None:
+def _magnet(piece: LatticePiece, length: float, reference: LatticeReference, _: PlacedPiece) -> Section | None:
     """A quadrupole where it is nothing else, or a multipole; None without a field."""
     per_length = 1.0 if piece.length else 1 / length
     normal, skew = (
@@ -138,7 +138,7 @@ def _trimmed(strengths: Sequence[float]) -> list[float]:
     return list(strengths[: last + 1])
 
 
-def _bend(piece: Piece, length: float, reference: Reference, _: Placed) -> Section | None:
+def _bend(piece: LatticePiece, length: float, reference: LatticeReference, _: PlacedPiece) -> Section | None:
     curvature = piece.curvature if piece.curvature is not None else piece.angle / (piece.length or length)
     if curvature == 0:
         return None
@@ -149,11 +149,11 @@ def _bend(piece: Piece, length: float, reference: Reference, _: Placed) -> Secti
     }
 
 
-def _solenoid(piece: Piece, _: float, reference: Reference, __: Placed) -> Section | None:
+def _solenoid(piece: LatticePiece, _: float, reference: LatticeReference, __: PlacedPiece) -> Section | None:
     return {"kind": "solenoid", "field": piece.solenoid * reference.rigidity} if piece.solenoid else None
 
 
-def _cavity(piece: Piece, length: float, reference: Reference, one: Placed) -> Section | None:
+def _cavity(piece: LatticePiece, length: float, reference: LatticeReference, one: PlacedPiece) -> Section | None:
     """A gap in which the reference particle, which keeps its speed, gains the voltage at the crest, in its phase."""
     if piece.voltage == 0:
         return None
@@ -171,7 +171,7 @@ def _transit(half: float) -> float:
     return float(profile @ np.cos(half * u) / profile.sum())
 
 
-def _aperture(one: Placed, hole: Hole, settings: Settings, names: set[str]) -> Section:
+def _aperture(one: PlacedPiece, hole: Hole, settings: LatticeSettings, names: set[str]) -> Section:
     piece = one.piece
     frames = {"entrance": one.entry, "exit": exit_of(one.entry, piece), "everywhere": middle(one.entry, piece)}
     place = _place(frames[hole.at].moved(*hole.centre, 0.0))

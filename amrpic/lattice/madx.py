@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import InputError
 from ..particles.species import SPECIES, Species
 from ..units import ELEMENTARY_CHARGE, SPEED_OF_LIGHT
-from .pieces import Hole, Kind, Line, Piece
+from .pieces import Beamline, Hole, Kind, LatticePiece
 
 ORDER = 20  # of multipoles that are looked for
 SAME = 1e-6  # relative, of masses of one species
@@ -21,7 +21,7 @@ PLACES = {"Marker": "place", "Device": "drift", "Drift": "drift"}
 MONITORS = ("monitor", "hmonitor", "vmonitor", "instrument")
 
 
-def read(file: str, line: str | None = None) -> Line:
+def read(file: str, line: str | None = None) -> Beamline:
     """Return a sequence of a file; its name may be left out where there is one alone. InputError where there are others."""
     if not Path(file).is_file():
         raise InputError(f"lattice {file} cannot be read; check the path")
@@ -41,7 +41,7 @@ def read(file: str, line: str | None = None) -> Line:
     return of_xtrack(lines[line])
 
 
-def of_xtrack(line: Any) -> Line:
+def of_xtrack(line: Any) -> Beamline:
     """Return a line of xtrack."""
     elements = line.element_dict
     names = list(line.element_names)
@@ -51,15 +51,15 @@ def of_xtrack(line: Any) -> Line:
         element = elements[name]
         if (hole := _hole(element)) is not None:
             holes[name] = hole
-            pieces.append(Piece(name, "place", type(element).__name__, hole=hole))
+            pieces.append(LatticePiece(name, "place", type(element).__name__, hole=hole))
         else:
             pieces.append(_piece(name, element))
     reference = line.particle_ref
     if reference is None:
-        return Line(tuple(pieces))
+        return Beamline(tuple(pieces))
     mass, charge = float(reference.mass0), float(reference.q0)  # eV, e
     momentum = float(np.asarray(reference.p0c)[0]) * ELEMENTARY_CHARGE / SPEED_OF_LIGHT
-    return Line(tuple(pieces), _species(mass, charge), momentum)
+    return Beamline(tuple(pieces), _species(mass, charge), momentum)
 
 
 def _species(mass: float, charge: float) -> Species:
@@ -71,7 +71,7 @@ def _species(mass: float, charge: float) -> Species:
     return Species(name="reference", charge=charge * ELEMENTARY_CHARGE, mass=kilograms)
 
 
-def _piece(name: str, element: Any) -> Piece:
+def _piece(name: str, element: Any) -> LatticePiece:
     called = type(element).__name__
     of = element.to_dict()
     length, tilt = float(of.get("length", 0.0)), float(of.get("rot_s_rad", 0.0))
@@ -79,17 +79,17 @@ def _piece(name: str, element: Any) -> Piece:
     if called in PLACES:
         kind: Kind = "drift" if length else "place"
         prototype = str(of.get("prototype", "")).split("/")[0]
-        return Piece(name, kind, monitor=prototype in MONITORS, **shared)
+        return LatticePiece(name, kind, monitor=prototype in MONITORS, **shared)
     if called in MAGNETS:
         normal, skew = _multipoles(of, length)
-        return Piece(name, "magnet", normal=normal, skew=skew, **shared)
+        return LatticePiece(name, "magnet", normal=normal, skew=skew, **shared)
     if called in ("Bend", "RBend"):
         return _bend(name, of, shared)
     if called in ("UniformSolenoid", "Solenoid"):
-        return Piece(name, "solenoid", solenoid=float(of.get("ks", 0.0)), **shared)
+        return LatticePiece(name, "solenoid", solenoid=float(of.get("ks", 0.0)), **shared)
     if called == "Cavity":
         lag = math.radians(float(of.get("lag", 0.0))) + float(of.get("phase", 0.0))
-        return Piece(
+        return LatticePiece(
             name,
             "cavity",
             voltage=float(of.get("voltage", 0.0)),
@@ -97,10 +97,10 @@ def _piece(name: str, element: Any) -> Piece:
             phase=lag - math.pi / 2,  # V sin(lag + ω Δt) there, Δt of a late particle
             **shared,
         )
-    return Piece(name, "unknown", **shared)
+    return LatticePiece(name, "unknown", **shared)
 
 
-def _bend(name: str, of: Mapping[str, Any], shared: dict[str, Any]) -> Piece:
+def _bend(name: str, of: Mapping[str, Any], shared: dict[str, Any]) -> LatticePiece:
     """Faces of a sector are measured from the normals of the orbit, those of a rectangle from parallel ones."""
     length, angle = shared["length"], float(of.get("angle", 0.0))
     parallel = angle / 2 if shared["called"] == "RBend" else 0.0
@@ -114,7 +114,7 @@ def _bend(name: str, of: Mapping[str, Any], shared: dict[str, Any]) -> Piece:
     if fringes:
         shared = {**shared, "lacking": (*shared["lacking"], "fringe integrals")}
     curvature = h if given is None or isinstance(given, str) else float(given)
-    return Piece(name, "bend", angle=angle, faces=faces, curvature=curvature, normal=normal, skew=skew, **shared)  # type: ignore[arg-type]
+    return LatticePiece(name, "bend", angle=angle, faces=faces, curvature=curvature, normal=normal, skew=skew, **shared)  # type: ignore[arg-type]
 
 
 def _multipoles(of: Mapping[str, Any], length: float) -> tuple[dict[int, float], dict[int, float]]:

@@ -8,29 +8,29 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..mesh.directions import axes as axes_of
-from .pieces import Piece
+from .pieces import LatticePiece
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
+class OrbitFrame:
     """A place on the orbit: x and y across it, z along it."""
 
     origin: np.ndarray  # (3,) m
     axes: np.ndarray  # (3, 3), rows: x, y and z
 
-    def moved(self, *by: float) -> Frame:
+    def moved(self, *by: float) -> OrbitFrame:
         """Return the frame moved by lengths along its own axes, m."""
-        return Frame(self.origin + np.array(by) @ self.axes, self.axes)
+        return OrbitFrame(self.origin + np.array(by) @ self.axes, self.axes)
 
-    def rolled(self, angle: float) -> Frame:
+    def rolled(self, angle: float) -> OrbitFrame:
         """Return the frame turned about z, from x towards y, rad."""
         c, s = math.cos(angle), math.sin(angle)
-        return Frame(self.origin, np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) @ self.axes)
+        return OrbitFrame(self.origin, np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) @ self.axes)
 
-    def bent(self, angle: float) -> Frame:
+    def bent(self, angle: float) -> OrbitFrame:
         """Return the frame turned about y, from z towards -x, rad."""
         c, s = math.cos(angle), math.sin(angle)
-        return Frame(self.origin, np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]) @ self.axes)
+        return OrbitFrame(self.origin, np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]) @ self.axes)
 
     @property
     def direction(self) -> tuple[float, float, float]:
@@ -45,21 +45,21 @@ class Frame:
         return math.atan2(self.axes[0] @ y, self.axes[0] @ x)
 
 
-START = Frame(np.zeros(3), np.eye(3))
+START = OrbitFrame(np.zeros(3), np.eye(3))
 
 
-def chord(piece: Piece) -> float:
+def chord(piece: LatticePiece) -> float:
     """Return the length from end to end of a piece, m."""
     half = piece.angle / 2
     return piece.length * (math.sin(half) / half if half else 1.0)
 
 
-def middle(entry: Frame, piece: Piece) -> Frame:
+def middle(entry: OrbitFrame, piece: LatticePiece) -> OrbitFrame:
     """Return the frame halfway along the straight line from end to end of a piece, z along it."""
     return entry.rolled(piece.tilt).bent(piece.angle / 2).moved(0, 0, chord(piece) / 2)
 
 
-def exit_of(entry: Frame, piece: Piece) -> Frame:
+def exit_of(entry: OrbitFrame, piece: LatticePiece) -> OrbitFrame:
     """Return the frame behind a piece."""
     half = middle(entry, piece).moved(0, 0, chord(piece) / 2)
     return half.bent(piece.angle / 2).rolled(-piece.tilt)

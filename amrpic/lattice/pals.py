@@ -16,7 +16,7 @@ from ..errors import InputError
 from ..particles.species import SPECIES, Species
 from ..units import ELEMENTARY_CHARGE, SPEED_OF_LIGHT
 from .arithmetic import number
-from .pieces import Hole, Line, Piece
+from .pieces import Beamline, Hole, LatticePiece
 
 Definition = Mapping[str, Any]
 OF_LINES = {"repeat", "direction", "inherit", "kind", "line", "periodic", "length", "zero_point", "multipass", "name"}
@@ -28,7 +28,7 @@ STRENGTH = re.compile(r"([BK])([ns])(\d+)(L?)$")
 DEEPEST = 100  # lines within lines
 
 
-def read(file: str, line: str | None = None) -> Line:
+def read(file: str, line: str | None = None) -> Beamline:
     """Return the line of a file that a name says, else the one that is used. InputError for what is not understood."""
     return _File(file, _facility(file)).line(line)
 
@@ -88,7 +88,7 @@ class _File:
         return number(written, f"lattice {self.file}: {where}", self.names)
 
     # ---- lines ----
-    def line(self, name: str | None) -> Line:
+    def line(self, name: str | None) -> Beamline:
         pieces, begins = [], []
         for label, definition, reversed_ in self.expanded(self.root(name), False, 0):
             if definition["kind"] == "BeginningEle":
@@ -96,7 +96,7 @@ class _File:
             pieces.append((label, definition, reversed_))
         species, momentum = self.reference(begins[0]) if begins else (None, None)
         rigidity = momentum / species.charge if species is not None and momentum is not None else None
-        return Line(tuple(_Element(self, *one, rigidity).piece() for one in pieces), species, momentum)
+        return Beamline(tuple(_Element(self, *one, rigidity).piece() for one in pieces), species, momentum)
 
     def root(self, name: str | None) -> str:
         """Return the name of a line: of that of a lattice with one branch, where it is not given."""
@@ -202,10 +202,10 @@ class _Element:
     def __init__(self, file: _File, name: str, definition: Definition, backwards: bool, rigidity: float | None) -> None:
         self.file, self.name, self.of, self.backwards, self.rigidity = file, name, definition, backwards, rigidity
 
-    def piece(self) -> Piece:
+    def piece(self) -> LatticePiece:
         kind = self.of.get("kind")
         length = self.number("length", self.of, 0.0)
-        piece = Piece(self.name, "unknown", str(kind), length)
+        piece = LatticePiece(self.name, "unknown", str(kind), length)
         used = set(IGNORED) | {"ApertureP", "ReferenceP"}
         if kind in PLACES:
             piece = replace(piece, kind="drift" if length else "place", monitor=kind == "Instrument")
@@ -282,7 +282,7 @@ class _Element:
             strengths["n"][order], strengths["s"][order] = n * c + s * sine, s * c - n * sine
         return {"normal": strengths["n"], "skew": strengths["s"]}
 
-    def bend(self, piece: Piece) -> Piece:
+    def bend(self, piece: LatticePiece) -> LatticePiece:
         known = {"angle_ref", "bend_field_ref", "e1", "e2", "e1_rect", "e2_rect", "edge1_int", "edge2_int", "g_ref"}
         known |= {"h1", "h2", "L_chord", "ref_coords", "ref_geometry", "rho_ref", "radius_ref", "tilt_ref"}
         of = self.group("BendP", known | {"multipole_type"})
@@ -346,7 +346,7 @@ class _Element:
             return self.normalised("B", self.number("Bsol", of, 0.0))
         return self.number("Ksol", of, 0.0)
 
-    def cavity(self, piece: Piece) -> Piece:
+    def cavity(self, piece: LatticePiece) -> LatticePiece:
         known = {"frequency", "voltage", "gradient", "phase", "zero_phase", "cavity_type", "num_cells", "harmon"}
         of = self.group("RFP", known | {"multipass_phase", "num_cells", "L_active"})
         if of.get("harmon") or of.get("multipass_phase"):

@@ -23,7 +23,7 @@ class Hole:
 
 
 @dataclass(frozen=True)
-class Piece:
+class LatticePiece:
     """An element of a lattice; strengths are those for the reference particle, as MAD-X has them."""
 
     name: str
@@ -46,10 +46,10 @@ class Piece:
 
 
 @dataclass(frozen=True)
-class Line:
+class Beamline:
     """Pieces in order, and the reference particle that they are for, as far as the file says."""
 
-    pieces: tuple[Piece, ...]
+    pieces: tuple[LatticePiece, ...]
     species: Species | None = None
     momentum: float | None = None  # kg m/s
 
@@ -60,7 +60,7 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Reference:
+class LatticeReference:
     """The particle that a lattice is for."""
 
     species: Species

@@ -11,9 +11,9 @@ from pydantic import Field, model_validator
 
 from ..errors import InputError
 from ..lattice import madx, pals
-from ..lattice.convert import Converted, Settings, converted
-from ..lattice.orbit import Frame
-from ..lattice.pieces import Line, Reference
+from ..lattice.convert import Converted, LatticeSettings, converted
+from ..lattice.orbit import OrbitFrame
+from ..lattice.pieces import Beamline, LatticeReference
 from ..mesh.directions import axes
 from ..particles.species import SPECIES
 from ..units import SPEED_OF_LIGHT
@@ -24,7 +24,7 @@ from .units import Energy, Length, Length3
 PALS = (".yaml", ".yml")
 
 
-class Lattice(Section):
+class LatticeSection(Section):
     """A lattice of another code."""
 
     file: str = Field(
@@ -40,9 +40,9 @@ class Lattice(Section):
         description="What has no counterpart: refuse names it and its place; drift leaves it out. `amrpic lattice` lists it.",
     )
     reach: Length = Field(
-        default=Settings.reach, gt=0, description="Distance from their axes within which elements act, m."
+        default=LatticeSettings.reach, gt=0, description="Distance from their axes within which elements act, m."
     )
-    thin: Length = Field(default=Settings.thin, gt=0, description="Length that thin elements get, m.")
+    thin: Length = Field(default=LatticeSettings.thin, gt=0, description="Length that thin elements get, m.")
     position: Length3 = Field(default=(0.0, 0.0, 0.0), description="Where the line begins, m.")
     direction: tuple[float, float, float] = Field(default=(0.0, 0.0, 1.0), description="Where it goes to then.")
 
@@ -54,10 +54,12 @@ class Lattice(Section):
     def converted(self) -> Converted:
         """Return what the lattice becomes. InputError, in one sentence, for a file that is not understood."""
         line = (pals if Path(self.file).suffix.lower() in PALS else madx).read(self.file, self.line)
-        start = Frame(np.array(self.position), np.array(axes(self.direction, 0.0)))
-        return converted(line, self._reference(line), Settings(self.missing == "drift", self.reach, self.thin, start))
+        start = OrbitFrame(np.array(self.position), np.array(axes(self.direction, 0.0)))
+        return converted(
+            line, self._reference(line), LatticeSettings(self.missing == "drift", self.reach, self.thin, start)
+        )
 
-    def _reference(self, line: Line) -> Reference:
+    def _reference(self, line: Beamline) -> LatticeReference:
         species, momentum = self.species or line.species, line.momentum
         if species is not None and self.kinetic_energy is not None:
             over_mc = self.kinetic_energy / (species.mass * SPEED_OF_LIGHT**2)  # γ - 1
@@ -67,7 +69,7 @@ class Lattice(Section):
                 f"lattice {self.file} does not say species and momentum of its reference particle; give species and "
                 "kinetic_energy in [lattice]"
             )
-        return Reference(species, momentum)
+        return LatticeReference(species, momentum)
 
 
 def with_lattice(data: Mapping[str, Any]) -> dict[str, Any]:
@@ -75,7 +77,7 @@ def with_lattice(data: Mapping[str, Any]) -> dict[str, Any]:
     reference particle where the mesh is to go with one and the scene gives none."""
     out = dict(data)
     lattice = out.pop("lattice")
-    of = (lattice if isinstance(lattice, Lattice) else Lattice.model_validate(lattice)).converted()
+    of = (lattice if isinstance(lattice, LatticeSection) else LatticeSection.model_validate(lattice)).converted()
     for key, sections in (("elements", of.elements), ("apertures", of.apertures), ("screens", of.screens)):
         if sections:
             out[key] = [*(out.get(key) or []), *sections]

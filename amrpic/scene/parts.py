@@ -18,7 +18,7 @@ from .bunches import DescribedBunch, LatticeBunch
 from .diagnostics import Diagnostics
 from .domain import DomainSection
 from .elements import AnyElement
-from .lattice import Lattice
+from .lattice import LatticeSection
 from .motion import Motion, NoMotion, Reference
 from .obstacles import AnyAperture, Screen
 from .output import Output
@@ -63,7 +63,7 @@ class SceneParts(AnyScene):
     elements: list[AnyElement] = Field(
         default=[], description="Magnets, cavities and other fields along the beam line."
     )
-    lattice: Lattice | None = Field(
+    lattice: LatticeSection | None = Field(
         default=None,
         description="A lattice of another code, a file or a section: its elements, apertures and screens join those of the "
         "scene, which then names none.",

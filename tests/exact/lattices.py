@@ -11,7 +11,7 @@ import numpy as np
 from mpi4py import MPI
 
 import amrpic
-from amrpic.scene.lattice import Lattice
+from amrpic.scene.lattice import LatticeSection
 from amrpic.units import SPEED_OF_LIGHT
 
 MADX = """
@@ -74,7 +74,7 @@ def tracked(file: Path, dt: float, from_end: float = FROM_END) -> np.ndarray:
     """Where `starts` come to at the end of a lattice, (13, 6), by a run without charge with about this time step (s).
 
     It goes to so many m before the end, in a drift."""
-    of = Lattice(file=str(file)).converted()
+    of = LatticeSection(file=str(file)).converted()
     reference, begin = of.reference, starts()
     p0, mc = reference.momentum, reference.species.mass * SPEED_OF_LIGHT
     momenta = p0 * np.stack([begin[:, 1], begin[:, 3], np.zeros(13)], axis=1)

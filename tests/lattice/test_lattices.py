@@ -12,7 +12,7 @@ import amrpic
 from amrpic.errors import InputError
 from amrpic.lattice import pals
 from amrpic.lattice.orbit import START, exit_of
-from amrpic.scene.lattice import Lattice
+from amrpic.scene.lattice import LatticeSection
 from exact.lattices import MADX, PALS, matrix, starts, tracked
 
 HEAD = "PALS:\n  facility:\n    - begin: {kind: BeginningEle, ReferenceP: {species_ref: proton, pc_ref: 3.0e8}}\n"
@@ -34,7 +34,7 @@ def test_lines_repeat_reverse_and_inherit(tmp_path):
     - b: {kind: Quadrupole, length: 0.2, MagneticMultipoleP: {Kn1: 1.0}}
     - cell: {kind: BeamLine, line: [a, b, c: {inherit: b, MagneticMultipoleP: {Kn1: -2.0}}]}
     - all: {kind: BeamLine, line: [begin, cell: {repeat: 2}, cell: {repeat: -1}, a: {repeat: 2}]}
-    - ring: {kind: Lattice, branches: [x: {inherit: all}]}
+    - ring: {kind: LatticeSection, branches: [x: {inherit: all}]}
     - use: ring
 """
     assert line_of(tmp_path, text) == ["begin", *"abcabccbaaa"]
@@ -97,8 +97,8 @@ def test_what_has_no_counterpart_is_refused_by_name_and_place_or_is_a_drift(tmp_
 """,
     )
     with pytest.raises(InputError, match=r"w at s = 0.5 m is a Wiggler.*and 1 more"):
-        Lattice(file=str(file)).converted()
-    of = Lattice(file=str(file), missing="drift").converted()
+        LatticeSection(file=str(file)).converted()
+    of = LatticeSection(file=str(file), missing="drift").converted()
     assert [element["kind"] for element in of.elements] == ["dipole"]
     assert of.placed[-1].became == ["dipole", "without fringe integrals"]
     assert of.placed[2].became == ["drift"]
@@ -107,8 +107,8 @@ def test_what_has_no_counterpart_is_refused_by_name_and_place_or_is_a_drift(tmp_
 def test_a_lattice_without_a_reference_particle_asks_for_one(tmp_path):
     file = written(tmp_path, "PALS:\n  facility:\n    - all: {kind: BeamLine, line: [a: {kind: Drift, length: 1}]}\n")
     with pytest.raises(InputError, match="species and"):
-        Lattice(file=str(file)).converted()
-    assert Lattice(file=str(file), species="proton", kinetic_energy="45 MeV").converted().reference.momentum > 0
+        LatticeSection(file=str(file)).converted()
+    assert LatticeSection(file=str(file), species="proton", kinetic_energy="45 MeV").converted().reference.momentum > 0
 
 
 # ---- scenes ----
@@ -138,7 +138,7 @@ def test_apertures_and_monitors_follow_the_orbit(tmp_path):
     - all: {kind: BeamLine, line: [begin, m, h, s]}
 """,
     )
-    of = Lattice(file=str(file)).converted()
+    of = LatticeSection(file=str(file)).converted()
     radius = 2 / np.pi
     assert of.apertures[0]["centre"] == pytest.approx([-radius - 0.05, 0, radius])
     assert of.screens[0]["centre"] == pytest.approx([-radius - 0.1, 0, radius])
@@ -184,7 +184,7 @@ def test_a_ring_closes(tmp_path):
     file = written(
         tmp_path, f"PALS:\n  facility:{CELL}    - all: {{kind: BeamLine, line: [begin, cell: {{repeat: 12}}]}}\n"
     )
-    end = Lattice(file=str(file)).converted().end
+    end = LatticeSection(file=str(file)).converted().end
     assert np.abs(end.origin).max() < 1e-12 and np.abs(end.axes - np.eye(3)).max() < 1e-12
 
 
@@ -207,7 +207,7 @@ def test_a_ring_has_the_tunes_of_its_matrix(tmp_path):
 def test_sequences_of_madx_give_the_same_elements(tmp_path):
     pytest.importorskip("xtrack")
     ours, theirs = (
-        Lattice(file=str(written(tmp_path, text, name))).converted()
+        LatticeSection(file=str(written(tmp_path, text, name))).converted()
         for text, name in ((PALS, "line.pals.yaml"), (MADX, "line.madx"))
     )
     assert len(ours.elements) == len(theirs.elements) == 13
@@ -263,7 +263,7 @@ def test_a_line_of_steps_of_second_order(tmp_path):
 
 
 def test_frames_turn_with_the_orbit():
-    piece = pals.Piece("m", "bend", length=1.0, angle=0.3, tilt=math.pi / 2)
+    piece = pals.LatticePiece("m", "bend", length=1.0, angle=0.3, tilt=math.pi / 2)
     end = exit_of(START, piece)
     assert end.direction == pytest.approx((0, -math.sin(0.3), math.cos(0.3)))
     assert end.axes[0] == pytest.approx([1, 0, 0], abs=1e-15)

@@ -34,7 +34,7 @@ def test_lines_repeat_reverse_and_inherit(tmp_path):
     - b: {kind: Quadrupole, length: 0.2, MagneticMultipoleP: {Kn1: 1.0}}
     - cell: {kind: BeamLine, line: [a, b, c: {inherit: b, MagneticMultipoleP: {Kn1: -2.0}}]}
     - all: {kind: BeamLine, line: [begin, cell: {repeat: 2}, cell: {repeat: -1}, a: {repeat: 2}]}
-    - ring: {kind: LatticeSection, branches: [x: {inherit: all}]}
+    - ring: {kind: Lattice, branches: [x: {inherit: all}]}
     - use: ring
 """
     assert line_of(tmp_path, text) == ["begin", *"abcabccbaaa"]

@@ -49,7 +49,7 @@ def sphere(picmi: Any, steps: int, cells: int = 32, number: int = 2**16) -> Any:
         max_steps=steps,
         verbose=0,
         particle_shape="linear",
-        amrpic_levels=1,
+        amrpic_levels=2,
         warpx_serialize_initial_conditions=True,
     )
     simulation.add_species(electrons, layout=picmi.PseudoRandomLayout(n_macroparticles=number))

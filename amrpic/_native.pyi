@@ -570,6 +570,10 @@ class QuadrupoleField:
 class DipoleField:
     def __init__(self, field: float, half: float, fringe: EngeFringe, angle: Sequence[float] = [0.0, 0.0]) -> None: ...
 
+class MultipoleField:
+    def __init__(self, normal: Sequence[float], skew: Sequence[float]) -> None:
+        """Factors of (x + i y)^n in B_y + i B_x, T/m^n."""
+
 class SolenoidField:
     def __init__(self, field: float, half: float, radius: float) -> None:
         """radius = 0: hard edges."""
@@ -608,14 +612,16 @@ class ExternalElement:
         | FocusingField
         | QuadrupoleField
         | DipoleField
+        | MultipoleField
         | SolenoidField
         | GapField
         | PillboxField
         | MapField,
         slope: Sequence[float] = [0.0, 0.0],
+        reach: float = ...,
     ) -> None:
         """
-        The extent is along z; its lower and upper end are planes that rise with x by the slopes.
+        The extent is along z; its lower and upper end are planes that rise with x by the slopes. Reach: from z, m.
         """
 
 class ExternalFields:
@@ -1022,10 +1028,23 @@ class Hole(enum.Enum):
 
     rectangle = 1
 
+class Whereabouts:
+    def __init__(self, origin: Sequence[float], axes: Sequence[Sequence[float]], reach: float) -> None:
+        """Origin (m) and unit vectors; flights that start farther from z miss."""
+    @property
+    def is_turned(self) -> bool: ...
+
 class Aperture:
     def __init__(
-        self, hole: Hole, centre: Sequence[float], half_width: Sequence[float], z: Sequence[float]
+        self,
+        hole: Hole,
+        centre: Sequence[float],
+        half_width: Sequence[float],
+        z: Sequence[float],
+        where: Whereabouts = ...,
     ) -> None: ...
+    @property
+    def where(self) -> Whereabouts: ...
     @property
     def hole(self) -> Hole: ...
     @property
@@ -1035,6 +1054,13 @@ class Aperture:
     @property
     def z(self) -> list[float]: ...
 
+class Screen:
+    def __init__(self, z: float, where: Whereabouts = ...) -> None: ...
+    @property
+    def z(self) -> float: ...
+    @property
+    def is_turned(self) -> bool: ...
+
 def first_encounters(
     apertures: Sequence[Aperture],
     start: NDArray[numpy.float64],
@@ -1043,7 +1069,7 @@ def first_encounters(
     end_offset: Sequence[float],
 ) -> tuple: ...
 def crossings(
-    planes: Sequence[float],
+    screens: Sequence[Screen],
     start: NDArray[numpy.float64],
     end: NDArray[numpy.float64],
     start_offset: Sequence[float],

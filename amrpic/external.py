@@ -27,6 +27,7 @@ from .scene.elements import (
     FringedElement,
     GapElement,
     MapElement,
+    MultipoleElement,
     PossiblyEverywhere,
     QuadrupoleElement,
     SolenoidElement,
@@ -41,6 +42,7 @@ Kind = (
     | _native.FocusingField
     | _native.QuadrupoleField
     | _native.DipoleField
+    | _native.MultipoleField
     | _native.SolenoidField
     | _native.GapField
     | _native.PillboxField
@@ -155,7 +157,12 @@ def native_element(element: Element, maps: Maps) -> _native.ExternalElement:
     else:
         field = kind(element)
     return _native.ExternalElement(
-        element.centre, axes(element.direction, element.roll), extent(element), field, slopes(element)
+        element.centre,
+        axes(element.direction, element.roll),
+        extent(element),
+        field,
+        slopes(element),
+        element.reach or math.inf,
     )
 
 
@@ -260,6 +267,15 @@ def _(element: QuadrupoleElement) -> Kind:
 @kind.register
 def _(element: DipoleElement) -> Kind:
     return _native.DipoleField(element.field, element.length / 2, fringe(element), faces(element))
+
+
+@kind.register
+def _(element: MultipoleElement) -> Kind:
+    normal, skew = (
+        [strength / math.factorial(n) for n, strength in enumerate(of)] + [0.0] * (6 - len(of))
+        for of in (element.normal, element.skew)
+    )
+    return _native.MultipoleField(normal, skew)
 
 
 @kind.register

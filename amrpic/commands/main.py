@@ -13,10 +13,24 @@ from mpi4py import MPI
 
 from ..failure import Meeting, replace_unprintable, sentence
 from ..progress import progress, reported
-from . import check, compare, doctor, plot, preview, report, run, scaling, schema, verify, watch
+from . import check, compare, doctor, lattice, plot, preview, report, run, scaling, scan, schema, verify, watch
 from .arguments import Parser
 
-COMMANDS = (run, check, preview, watch, report, compare, plot, schema, verify, scaling, doctor)  # as --help lists them
+COMMANDS = (
+    run,
+    check,
+    preview,
+    watch,
+    report,
+    compare,
+    scan,
+    plot,
+    lattice,
+    schema,
+    verify,
+    scaling,
+    doctor,
+)  # as --help lists them
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

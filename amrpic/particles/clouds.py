@@ -64,9 +64,8 @@ class Clouds:
         """
         if self.compensation == "none":
             return 0.0
-        cubes = bool(widths.max() <= CUBES * widths.min())
         further = OF_MESH if self.compensation == "clouds-and-mesh" else OF_HIGHER[self.shape]
-        return (2 * SMOOTHING[self.shape] + (further if cubes else 0.0)) * float(widths.min()) ** 2
+        return (2 * SMOOTHING[self.shape] + (further if are_cubes(widths) else 0.0)) * float(widths.min()) ** 2
 
     @property
     def native(self) -> tuple[_native.Shape, bool, bool]:
@@ -80,6 +79,12 @@ class Clouds:
 
 
 PLAIN = Clouds()
+
+
+def are_cubes(widths: np.ndarray) -> bool:
+    """Whether cells of these widths (3,) are cubes."""
+    return bool(widths.max() <= CUBES * widths.min())
+
 
 EQUAL_PARTICLES = 140  # per square of the bunch's size in cells, above which own-level clouds are better
 

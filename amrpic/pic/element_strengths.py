@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from functools import singledispatch
@@ -17,6 +18,7 @@ from ..scene.elements import (
     FringedElement,
     GapElement,
     MapElement,
+    MultipoleElement,
     QuadrupoleElement,
     SolenoidElement,
     UniformElement,
@@ -70,6 +72,16 @@ def _(element: QuadrupoleElement) -> Strength:
 @strength.register
 def _(element: DipoleElement) -> Strength:
     return Strength(magnetic=abs(element.field), length=_shortest(element), smooth=element.fringe != "hard")
+
+
+@strength.register
+def _(element: MultipoleElement) -> Strength:
+    """Of higher orders the gradient where the elements reach to, or at a tenth of their length."""
+    r = min(element.reach or math.inf, element.length / 10)
+    pairs = list(itertools.zip_longest(element.normal, element.skew, fillvalue=0.0))
+    sizes = [math.hypot(*pair) for pair in pairs]
+    slopes = (size * r ** (n - 1) / math.factorial(n - 1) for n, size in enumerate(sizes) if n > 0)
+    return Strength(magnetic=sizes[0] if sizes else 0.0, magnetic_gradient=sum(slopes))
 
 
 @strength.register

@@ -111,9 +111,9 @@ def migrate(state: State, moved: Particles, born: Born | None, setup: Setup) -> 
     lost = replace(stopped, what=stopped.what + len(FACES))
     if len(outside) > 0:
         lost = lost.joined(flights.exits(outside))
-    planes, screens = [screen.z for screen in scene.screens], [screen.name for screen in scene.screens]
-    passed = flights.crossings(planes, lost) if planes else NOTHING
-    if missing == 0 and not (planes and setup.comm.allreduce(len(passed))):
+    screens = [screen.name for screen in scene.screens]
+    passed = flights.crossings(setup.screens, lost) if screens else NOTHING
+    if missing == 0 and not (screens and setup.comm.allreduce(len(passed))):
         return Arrived(particles, state.lost, state.screens, tallies, deposition)
     met = np.unique(np.concatenate([lost.flight, passed.flight]))
     before, begun, duration = _departures(state, born, met, setup)

@@ -24,7 +24,7 @@ from ..scene.elements import MapElement
 from ..scene.scene import Scene
 from ..space_charge.solvers import Solvers
 from ..stages.diagnostics import moments
-from ..stages.encounters import native_aperture
+from ..stages.encounters import native_aperture, native_screen
 from .electrodes import collected, electrodes_of
 from .emitters import Emitter, emitters_of
 from .emitting_walls import EmittingWalls
@@ -47,6 +47,7 @@ class Setup:
     fields: FieldFunctions  # from Python
     apertures: list[_native.Aperture]
     electrodes: tuple[Electrode, ...]  # in the laboratory
+    screens: list[_native.Screen]
     move: Mover
     solvers: Solvers
     emitters: tuple[Emitter, ...]  # the scene's sources
@@ -87,6 +88,7 @@ def set_up(comm: MPI.Comm, scene: Scene, fields: Sequence[FieldFunction] = ()) -
         FieldFunctions(comm, fields),
         [native_aperture(aperture) for aperture in scene.apertures],
         electrodes_of(comm, scene),
+        [native_screen(screen) for screen in scene.screens],
         mover_of(scene),
         Solvers(
             scene.solver,

@@ -88,7 +88,7 @@ class AnyScene(Section):
             raise refusal(refused, source, cls) from None
 
     @staticmethod
-    def _anchor_files(data: Mapping[str, Any], folder: Path) -> None:
+    def _anchor_files(data: dict[str, Any], folder: Path) -> None:
         """Make paths of files in the scene start at its folder."""
 
     def to_dict(self) -> dict[str, Any]:

@@ -51,6 +51,9 @@ class Element(Section):
         default=(0.0, 0.0, 1.0), description="Where its axis, its own z, points to; any length but 0."
     )
     roll: Angle = Field(default=0.0, description="Turn about its axis, from its own x towards y, rad.")
+    reach: Length | None = Field(
+        default=None, gt=0, description="Distance from its axis within which it acts, m; without it, any."
+    )
 
     @model_validator(mode="after")
     def _has_direction(self) -> Self:
@@ -186,6 +189,20 @@ class DipoleElement(FringedElement):
     )
 
 
+Strengths = Annotated[list[float], Field(max_length=6)]
+
+
+class MultipoleElement(Element):
+    """A multipole: B_y + i B_x = Σ (normal_n + i skew_n) (x + i y)^n / n! inside, with hard edges; n = 0 is a kicker."""
+
+    kind: Literal["multipole"] = "multipole"
+    length: Length = Field(gt=0, description="From end to end, m.")
+    normal: Strengths = Field(
+        default=[], description="Of the dipole, quadrupole, sextupole, … to the sixth, in T, T/m, T/m², …"
+    )
+    skew: Strengths = Field(default=[], description="The same, turned by a quarter of their symmetry.")
+
+
 class SolenoidElement(Element):
     """A solenoid: B = (0, 0, field) inside."""
 
@@ -268,6 +285,7 @@ AnyElement = Annotated[
     | QuadrupoleElement
     | SolenoidElement
     | DipoleElement
+    | MultipoleElement
     | ConstantFocusingElement
     | GapElement
     | CavityElement

@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from .complaints import complaint
 from .section import Section
-from .units import Length, Length3
+from .units import Angle, Length, Length3
 
 HalfWidth = Annotated[Length, Field(gt=0)]
 
@@ -33,13 +33,41 @@ class Obstacle(Section):
         return self
 
 
-class Aperture(Obstacle):
-    """Solid all around a hole along z. Particles that touch it are lost there."""
+class Turned(Obstacle):
+    """Something that may look anywhere."""
+
+    direction: tuple[float, float, float] = Field(
+        default=(0.0, 0.0, 1.0), description="Where its own z points to, along which it is passed; any length but 0."
+    )
+    roll: Angle = Field(default=0.0, description="Turn about that, from its own x towards y, rad.")
+    reach: Length | None = Field(
+        default=None,
+        gt=0,
+        description="Distance from its axis within which particles meet it, m; without it, any. In a ring it keeps those away "
+        "that pass on the other side.",
+    )
+
+    @model_validator(mode="after")
+    def _has_direction(self) -> Self:
+        if not any(self.direction):
+            raise complaint(
+                "points nowhere", "give a vector such as [0, 0, 1]", path="direction", found=list(self.direction)
+            )
+        return self
+
+    @property
+    def is_along_z(self) -> bool:
+        """Whether its axes are those of the laboratory."""
+        return self.direction[:2] == (0, 0) and self.direction[2] > 0 and self.roll == 0
+
+
+class Aperture(Turned):
+    """Solid all around a hole along its z. Particles that touch it are lost there."""
 
     name: str = Field(default="", description="A name of your own, in the records; aperture_0, … if not given.")
     centre: Length3 = Field(default=(0.0, 0.0, 0.0), description="Middle of the hole, in the laboratory, m.")
     length: Length | None = Field(
-        default=None, gt=0, description="Of the solid along z, m; without it the solid has no ends."
+        default=None, gt=0, description="Of the solid along its z, m; without it the solid has no ends."
     )
 
 
@@ -67,11 +95,26 @@ class RectangularAperture(Aperture):
 AnyAperture = Annotated[RoundAperture | EllipticAperture | RectangularAperture, Field(discriminator="kind")]
 
 
-class Screen(Obstacle):
-    """A plane of constant z where particles are recorded as they pass, in either direction."""
+class Screen(Turned):
+    """A plane where particles are recorded as they pass, in either direction: of constant z, or across a direction."""
 
     name: str = Field(min_length=1, description="A name of your own: the records are in screen_<name>.h5.")
-    z: Length = Field(description="Where, in the laboratory, m.")
+    z: Length | None = Field(default=None, description="Where, in the laboratory, m.")
+    centre: Length3 | None = Field(
+        default=None,
+        description="A point of the plane in the laboratory, m, in place of z; with it, direction may be any.",
+    )
+
+    @model_validator(mode="after")
+    def _one_place(self) -> Self:
+        if (self.z is None) == (self.centre is None):
+            state = "is missing" if self.z is None else "is given as well as centre"
+            raise complaint(state, "give z, or centre and direction", path="z", found=self.z)
+        if self.z is not None and not (self.is_along_z and self.reach is None):
+            raise complaint(
+                "is that of a plane across z", "give centre in place of z for others", path="z", found=self.z
+            )
+        return self
 
 
 def aperture_names(apertures: Sequence[Aperture]) -> tuple[str, ...]:
@@ -90,8 +133,10 @@ def repeated_names(names: Iterable[str], reserved: Iterable[str] = ()) -> Iterat
 
 def out_of_reach(apertures: Sequence[Aperture], screens: Sequence[Screen], lower: float, upper: float) -> list[str]:
     """Return a sentence for each aperture and screen that no particle meets while z stays from `lower` to `upper`, m."""
-    spans = [(f"screens.{number}", screen.z, screen.z) for number, screen in enumerate(screens)]
+    spans = [(f"screens.{number}", screen.z, screen.z) for number, screen in enumerate(screens) if screen.z is not None]
     for number, aperture in enumerate(apertures):
+        if not aperture.is_along_z:
+            continue
         half = math.inf if aperture.length is None else aperture.length / 2
         spans.append((f"apertures.{number}", aperture.centre[2] - half, aperture.centre[2] + half))
     return [

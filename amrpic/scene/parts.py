@@ -20,6 +20,7 @@ from .diagnostics import Diagnostics
 from .domain import DomainSection
 from .electrodes import ElectrodeSection
 from .elements import AnyElement
+from .lattice import LatticeSection
 from .motion import Motion, NoMotion, Reference
 from .obstacles import AnyAperture, Screen
 from .output import Output
@@ -62,6 +63,11 @@ class SceneParts(AnyScene):
     sources: list[AnySource] = Field(default=[], description="Surfaces from which particles come over time.")
     elements: list[AnyElement] = Field(
         default=[], description="Magnets, cavities and other fields along the beam line."
+    )
+    lattice: LatticeSection | None = Field(
+        default=None,
+        description="A lattice of another code, a file or a section: its elements, apertures and screens join those of the "
+        "scene, which then names none.",
     )
     apertures: list[AnyAperture] = Field(default=[], description="Holes in solids at which particles are lost.")
     electrodes: list[ElectrodeSection] = Field(

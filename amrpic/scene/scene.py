@@ -14,6 +14,7 @@ from .. import html
 from ..particles.groups import NamedBunches
 from .electrode_shapes import anchor_files
 from .fits_together import check
+from .lattice import with_lattice
 from .obstacles import out_of_reach
 from .parts import SceneParts
 from .section import Section
@@ -23,13 +24,23 @@ from .thermal_bunch import ThermalBunch
 class Scene(SceneParts):
     """A run, described: where, what charge, how refined, how solved, how moved, how long, what written."""
 
+    @model_validator(mode="before")
+    @classmethod
+    def _lattice_in_elements(cls, data: Any) -> Any:
+        return with_lattice(data) if isinstance(data, Mapping) and data.get("lattice") is not None else data
+
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
         check(self)
         return self
 
     @staticmethod
-    def _anchor_files(data: Mapping[str, Any], folder: Path) -> None:
+    def _anchor_files(data: dict[str, Any], folder: Path) -> None:
+        match data.get("lattice"):
+            case str() as file:
+                data["lattice"] = {"file": str(folder / file)}
+            case {"file": str() as file, **rest}:
+                data["lattice"] = {**rest, "file": str(folder / file)}
         for key in ("bunches", "sources", "elements"):
             members = data.get(key)
             for member in members if isinstance(members, list) else []:

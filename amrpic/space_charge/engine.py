@@ -15,7 +15,7 @@ from ..mesh.domain import Domain
 from ..mesh.field import VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..parallel import Communicator, own, together
-from ..particles.clouds import SHAPES, Clouds, Shape, compensation_pays, matched_pays
+from ..particles.clouds import SHAPES, Clouds, Shape, are_cubes, compensation_pays, matched_pays
 from ..particles.particles import Particles
 from ..scene.complaints import mistakes
 from ..scene.refinement import Refinement
@@ -49,7 +49,8 @@ class SpaceCharge:
     an open domain, and a bunch that has become half as long at a regrid, bring about a new one.
     `tolerance`: of the solve: "discretization" stops at a tenth of the error that the mesh makes; a number bounds the residual.
     `form`: "3d"; nothing else yet.
-    `shape`, `compensation`: of the particles' clouds, as in scenes: [particles].
+    `shape`, `compensation`: of the particles' clouds, as in scenes: [particles]. With "clouds-and-mesh" the solver is of fourth
+    order where cells are no cubes.
     `reproducible`: whoever holds which particle and in which order, results of the same calls are the same to the last bit on
     the same number of ranks; it costs two sorts of the particles.
     `comm`: communicator of all ranks that call, COMM_WORLD by default.
@@ -255,6 +256,8 @@ class SpaceCharge:
         compensation = ("clouds-and-mesh" if pays else "none") if self._compensation == "auto" else self._compensation
         matched = levels > 0 and matched_pays(number, rms / widths)
         memory.clouds = Clouds(self._shape, matched, compensation)
+        of_mesh = compensation == "clouds-and-mesh" and not are_cubes(widths)  # in cubes κ sees to it
+        memory.options = memory.options.model_copy(update={"order": 4 if of_mesh else 2})
         memory.start_anew()
         sizes = memory.refinement.max_grid_size, memory.refinement.blocking_factor
         self._hierarchy, self._servers, self._calls = Hierarchy(comm, domain, (), *sizes), None, 0

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from .. import _native
 from ..conductors.hits import first_hits
+from ..mesh.directions import axes
 from ..mesh.domain import Domain
 from ..mesh.window import Window
 from ..scene.electrodes import Electrode
-from ..scene.obstacles import Aperture, RectangularAperture, RoundAperture
+from ..scene.obstacles import Aperture, RectangularAperture, RoundAperture, Screen, Turned
 
 Array = NDArray[Any]
 Find = Callable[[Array, Array, Array, Array], tuple[Array, Array, Array]]
@@ -94,10 +95,11 @@ class Flights:
         leaving = self._leaving(first.flight)
         return first.until(leaving.flight, leaving.share)
 
-    def crossings(self, planes: Sequence[float], lost: Encounters) -> Encounters:
-        """Return where flights cross planes of constant z (m, in the laboratory) before they are lost."""
-        met = self._meet(lambda *ways: _native.crossings(planes, *ways))
-        met.place[:, 2] = np.array(planes)[met.what]
+    def crossings(self, screens: Sequence[_native.Screen], lost: Encounters) -> Encounters:
+        """Return where flights cross screens before they are lost."""
+        met = self._meet(lambda *ways: _native.crossings(screens, *ways))
+        exact = np.array([math.nan if screen.is_turned else screen.z for screen in screens])[met.what]
+        met.place[:, 2] = np.where(np.isnan(exact), met.place[:, 2], exact)
         return met.until(lost.flight, lost.share).in_order()
 
     def exits(self, flight: Array) -> Encounters:
@@ -161,13 +163,19 @@ class Flights:
         """Yield an aperture, and it a period along z further up or down where it reaches beyond a face."""
         yield aperture
         period, origin = self.domain.period(2), self.before.origin
-        if math.isinf(period) or self._turns or self.origin is not None or self.after.origin != origin:
+        if (
+            math.isinf(period)
+            or aperture.where.is_turned
+            or self._turns
+            or self.origin is not None
+            or self.after.origin != origin
+        ):
             return
         lower, upper = aperture.z
         for face, up in ((self.domain.lower[2], 1), (self.domain.upper[2], -1)):
             if lower < face + origin[2] < upper and math.isfinite(upper - lower):
                 z = lower + up * period, upper + up * period
-                yield _native.Aperture(aperture.hole, aperture.centre, aperture.half_width, z)
+                yield _native.Aperture(aperture.hole, aperture.centre, aperture.half_width, z, aperture.where)
 
     @property
     def most_periods(self) -> float:
@@ -240,8 +248,22 @@ def _encounters(flight: Array, what: Array, share: Array, place: Array, way: Arr
 
 def native_aperture(aperture: Aperture) -> _native.Aperture:
     """Return an aperture as the kernel takes it."""
-    x, y, z = aperture.centre
     half = math.inf if aperture.length is None else aperture.length / 2
     hole = _native.Hole.rectangle if isinstance(aperture, RectangularAperture) else _native.Hole.ellipse
     widths = (aperture.radius,) * 2 if isinstance(aperture, RoundAperture) else aperture.half_widths  # type: ignore[attr-defined]
-    return _native.Aperture(hole, (x, y), widths, (z - half, z + half))
+    if aperture.is_along_z and aperture.reach is None:
+        x, y, z = aperture.centre
+        return _native.Aperture(hole, (x, y), widths, (z - half, z + half))
+    return _native.Aperture(hole, (0.0, 0.0), widths, (-half, half), _where(aperture, aperture.centre))
+
+
+def native_screen(screen: Screen) -> _native.Screen:
+    """Return a screen as the kernel takes it."""
+    if screen.centre is None:
+        assert screen.z is not None
+        return _native.Screen(screen.z)
+    return _native.Screen(0.0, _where(screen, screen.centre))
+
+
+def _where(of: Turned, centre: tuple[float, float, float]) -> _native.Whereabouts:
+    return _native.Whereabouts(centre, axes(of.direction, of.roll), of.reach or math.inf)

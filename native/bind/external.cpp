@@ -140,6 +140,13 @@ void bind_external(nb::module_& m) {
                               {std::cos(angle[0]), std::cos(angle[1])}};
           },
           "field"_a, "half"_a, "fringe"_a, "angle"_a = std::array<Real, 2>{});
+  nb::class_<Multipole>(m, "MultipoleField")
+      .def(
+          "__init__",
+          [](Multipole* self, std::array<Real, Multipole::most> normal, std::array<Real, Multipole::most> skew) {
+            new (self) Multipole{normal, skew};
+          },
+          "normal"_a, "skew"_a, "Factors of (x + i y)^n in B_y + i B_x, T/m^n.");
   nb::class_<Solenoid>(m, "SolenoidField")
       .def(
           "__init__",
@@ -176,11 +183,12 @@ void bind_external(nb::module_& m) {
       .def(
           "__init__",
           [](Element* self, Real3 origin, std::array<Real3, 3> axes, std::array<Real, 2> extent, Kind kind,
-             std::array<Real, 2> slope) {
-            new (self) Element{{origin, axes}, {{extent[0], slope[0]}, {extent[1], slope[1]}}, std::move(kind)};
+             std::array<Real, 2> slope, Real reach) {
+            new (self) Element{{origin, axes}, {{extent[0], slope[0]}, {extent[1], slope[1]}}, std::move(kind), reach};
           },
           "origin"_a, "axes"_a, "extent"_a, "kind"_a, "slope"_a = std::array<Real, 2>{},
-          "The extent is along z; its lower and upper end are planes that rise with x by the slopes.");
+          "reach"_a = std::numeric_limits<Real>::infinity(),
+          "The extent is along z; its lower and upper end are planes that rise with x by the slopes. Reach: from z, m.");
 
   nb::class_<ExternalFields>(m, "ExternalFields")
       .def(nb::init<std::vector<Element>>(), "elements"_a)

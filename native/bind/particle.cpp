@@ -275,20 +275,35 @@ void bind_particle(nb::module_& m) {
   nb::enum_<Aperture::Hole>(m, "Hole")
       .value("ellipse", Aperture::Hole::ellipse)
       .value("rectangle", Aperture::Hole::rectangle);
+  nb::class_<Whereabouts>(m, "Whereabouts")
+      .def(
+          "__init__",
+          [](Whereabouts* self, Real3 origin, std::array<Real3, 3> axes, Real reach) {
+            new (self) Whereabouts{origin, axes, reach};
+          },
+          "origin"_a, "axes"_a, "reach"_a, "Origin (m) and unit vectors; flights that start farther from z miss.")
+      .def_prop_ro("is_turned", [](Whereabouts const& of) { return !of.is_laboratory(); });
   nb::class_<Aperture>(m, "Aperture")
       .def(
           "__init__",
           [](Aperture* self, Aperture::Hole hole, std::array<Real, 2> centre, std::array<Real, 2> half_width,
-             std::array<Real, 2> z) {
-            new (self) Aperture{hole, centre, half_width, {z[0], z[1]}};
+             std::array<Real, 2> z, Whereabouts const& where) {
+            new (self) Aperture{hole, centre, half_width, {z[0], z[1]}, where};
           },
-          "hole"_a, "centre"_a, "half_width"_a, "z"_a)
+          "hole"_a, "centre"_a, "half_width"_a, "z"_a, "where"_a = Whereabouts{})
+      .def_ro("where", &Aperture::where)
       .def_ro("hole", &Aperture::hole)
       .def_ro("centre", &Aperture::centre)
       .def_ro("half_width", &Aperture::half_width)
       .def_prop_ro("z", [](Aperture const& of) {
         return std::array<Real, 2>{of.z.lower, of.z.upper};
       });
+  nb::class_<Screen>(m, "Screen")
+      .def(
+          "__init__", [](Screen* self, Real z, Whereabouts const& where) { new (self) Screen{z, where}; }, "z"_a,
+          "where"_a = Whereabouts{})
+      .def_ro("z", &Screen::z)
+      .def_prop_ro("is_turned", [](Screen const& of) { return !of.where.is_laboratory(); });
   m.def(
       "first_encounters",
       [](std::vector<Aperture> const& apertures, ConstColumns start, ConstColumns end, Real3 start_offset,
@@ -298,10 +313,11 @@ void bind_particle(nb::module_& m) {
       "apertures"_a, "start"_a, "end"_a, "start_offset"_a, "end_offset"_a);
   m.def(
       "crossings",
-      [](std::vector<Real> const& planes, ConstColumns start, ConstColumns end, Real3 start_offset, Real3 end_offset) {
-        return to_arrays(crossings(planes, flights(start, end, start_offset, end_offset)));
+      [](std::vector<Screen> const& screens, ConstColumns start, ConstColumns end, Real3 start_offset,
+         Real3 end_offset) {
+        return to_arrays(crossings(screens, flights(start, end, start_offset, end_offset)));
       },
-      "planes"_a, "start"_a, "end"_a, "start_offset"_a, "end_offset"_a);
+      "screens"_a, "start"_a, "end"_a, "start_offset"_a, "end_offset"_a);
 
   m.def(
       "count_per_brick",

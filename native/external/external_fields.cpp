@@ -60,6 +60,12 @@ Flight<V> flight_seen_from(Frame const& frame, bool turned, Flight<V> const& f) 
   return out;
 }
 
+/// Whether places in an element's own axes are near enough to its z.
+template <class V>
+auto in_reach(Element const& element, Vector3<V> const& x) {
+  return V{} + element.reach >= square_root(x[0] * x[0] + x[1] * x[1]);
+}
+
 /// Where fields and edges of elements are added up, in the axes of the laboratory.
 template <class V>
 struct Sums {
@@ -67,12 +73,12 @@ struct Sums {
   Edges<V>& edges;
 };
 
-/// Add what the planes at both ends of a field give to flights that cross them.
-template <class V, class Of, class Turn>
-void add_edges(Of const& of, Slab const& extent, Flight<V> const& flight, Segment<V> const& segment,
+/// Add what the planes at both ends of a field give to those `near` flights that cross them.
+template <class V, class Of, class Turn, class Mask>
+void add_edges(Of const& of, Slab const& extent, Flight<V> const& flight, Segment<V> const& segment, Mask const& near,
                Turn const& to_laboratory, Edges<V>& edges) {
   auto const add = [&](Plane const& plane, Real sign) {
-    V const direction = direction_across(plane, segment);
+    V const direction = zero_unless(near, direction_across(plane, segment));
     if (all(direction == V{})) return;
     V const density = direction / segment.rise(plane);  // the mean of δ(height - place)
     V const share = clamped(segment.share_before(plane), 0, 1);
@@ -94,15 +100,18 @@ void add_edges(Of const& of, Slab const& extent, Flight<V> const& flight, Segmen
   add(extent.upper, -1);
 }
 
-/// Add the mean of one field along a flight in its own axes.
+/// Add the mean of the field of an element along a flight in its own axes.
 template <class V, class Of, class Turn>
-void add_one(Of const& of, Slab const& extent, Flight<V> const& flight, Turn const& to_laboratory, Sums<V> const& to) {
+void add_one(Of const& of, Element const& element, Flight<V> const& flight, Turn const& to_laboratory,
+             Sums<V> const& to) {
+  Slab const& extent = element.extent;
+  auto const near = in_reach(element, flight.x);
   auto const add = [&](Fields<V> const& mean) {
     if (of.electric()) to.E = sum(to.E, to_laboratory(mean.E));
     if (of.magnetic()) to.B = sum(to.B, to_laboratory(mean.B));
   };
   if (!of.is_hard() || extent.everywhere()) {
-    auto const here = contains(extent, flight.x);
+    auto const here = contains(extent, flight.x) & near;
     if (!any(here)) return;
     auto mean = field(of, flight.x, flight.time);
     for (std::size_t d = 0; d < 3; ++d)
@@ -110,15 +119,19 @@ void add_one(Of const& of, Slab const& extent, Flight<V> const& flight, Turn con
     return add(mean);
   }
   Segment<V> const segment(flight);
-  auto const meets = segment.meets(extent), inside = segment.lies_in(extent);
+  auto const meets = segment.meets(extent) & near, inside = segment.lies_in(extent) & near;
   if (!any(meets)) return;
   V const half = V{} + 0.5;
   if (all(inside)) return add(field(of, segment.point(half), segment.time(half)));
-  auto const part = part_inside(extent, segment);
+  auto part = part_inside(extent, segment);
+  part.share = zero_unless(near, part.share);
   auto const mean = field(of, part.middle, part.time);
   add({scaled(part.share, mean.E), scaled(part.share, mean.B)});
+  V const moment = zero_unless(meets, moment_of(extent, segment, part, flight));
+  if (of.electric()) to.edges.electric_moment = sum(to.edges.electric_moment, to_laboratory(scaled(moment, mean.E)));
+  if (of.magnetic()) to.edges.magnetic_moment = sum(to.edges.magnetic_moment, to_laboratory(scaled(moment, mean.B)));
   to.edges.ends = select(inside, to.edges.ends, select(meets, V{} + 1, to.edges.ends));
-  if constexpr (Of::has_edges) add_edges(of, extent, flight, segment, to_laboratory, to.edges);
+  if constexpr (Of::has_edges) add_edges(of, extent, flight, segment, near, to_laboratory, to.edges);
 }
 
 /// Whether a field is the same all over its extent.
@@ -146,8 +159,9 @@ template <class Of>
 bool add_at(Of const& of, Element const& element, Interval const& z, bool turned, Real time, Real reach, Places& at) {
   Slab const &extent = element.extent, around = extent.grown(reach), inside = extent.grown(-reach);
   Real const origin = element.frame.origin[2];
-  bool const whole = extent.everywhere() || (extent.is_straight() && z.lower >= origin + inside.lower.place &&
-                                             z.upper < origin + inside.upper.place);
+  bool const wide = std::isinf(element.reach);
+  bool const whole = wide && (extent.everywhere() || (extent.is_straight() && z.lower >= origin + inside.lower.place &&
+                                              z.upper < origin + inside.upper.place));
   if (whole && !turned) {
     add_inside(of, element.frame, time, at);
     return false;
@@ -156,14 +170,15 @@ bool add_at(Of const& of, Element const& element, Interval const& z, bool turned
   Lanes any_near{};
   for (std::size_t n = 0; n < at.count; ++n) {
     Vector3<Lanes> const x = place_seen_from(element.frame, turned, at.x[n]);
+    auto const reached = in_reach(element, x);
     if (ends) {
-      Lanes const near = zero_unless(contains(around, x), select(contains(inside, x), Lanes{}, Lanes{} + 1));
+      Lanes const near = zero_unless(contains(around, x) & reached, select(contains(inside, x), Lanes{}, Lanes{} + 1));
       at.near_end[n] += near;
       any_near += near;
     }
     auto const add = [&](Vector3<Lanes>& sums, Vector3<Lanes> const& own) {
       Vector3<Lanes> const more = turned ? in_laboratory(element.frame, own) : own;
-      for (std::size_t d = 0; d < 3; ++d) sums[d] += zero_unless(contains(extent, x), more[d]);
+      for (std::size_t d = 0; d < 3; ++d) sums[d] += zero_unless(contains(extent, x) & reached, more[d]);
     };
     auto const there = field(of, x, time);
     if (of.electric()) add(at.E[n], there.E);
@@ -193,8 +208,15 @@ Interval external::laboratory_extent(Element const& element) {
   Real const along = frame.axis[2][2], z = frame.origin[2];
   auto const [first, last] = element.extent;
   bool const across = std::abs(along) == 1 && first.slope == 0 && last.slope == 0;
-  if (!across) return {-infinity, infinity};  // a tilted plane passes every z somewhere
-  auto const [lower, upper] = along > 0 ? Interval{first.place, last.place} : Interval{-last.place, -first.place};
+  // a tilted plane passes every z somewhere, where there is no end across
+  if (!across && (std::isinf(element.reach) || std::isinf(first.place) || std::isinf(last.place)))
+    return {-infinity, infinity};
+  Real const rise = across ? 0 : element.reach * std::hypot(frame.axis[0][2], frame.axis[1][2]);
+  auto const tilt = [&](Plane const& plane) { return plane.slope == 0 ? 0 : std::abs(plane.slope) * element.reach; };
+  Interval own{first.place - tilt(first), last.place + tilt(last)};
+  if (along < 0) own = {-own.upper, -own.lower};
+  Real const lower = across ? own.lower : std::abs(along) * own.lower - rise,
+             upper = across ? own.upper : std::abs(along) * own.upper + rise;
   auto const rounding = [=](Real end) { return 1e-14 * (std::abs(z) + std::abs(end)); };  // of places in either axes
   return {z + lower - rounding(lower), z + upper + rounding(upper)};
 }
@@ -242,7 +264,7 @@ void add_mean_field(ExternalFields const& fields, Flight<V> const& flight, Vecto
   fields.for_each_near(lowest(lesser(start, end)), highest(greater(start, end)), [&](Element const& at, bool turned) {
     auto const to_laboratory = [&](Vector3<V> const& a) { return turned ? in_laboratory(at.frame, a) : a; };
     auto const local = flight_seen_from(at.frame, turned, flight);
-    std::visit([&](auto const& of) { add_one(of, at.extent, local, to_laboratory, sums); }, at.kind);
+    std::visit([&](auto const& of) { add_one(of, at, local, to_laboratory, sums); }, at.kind);
   });
 }
 

@@ -11,7 +11,7 @@ namespace amrpic {
 
 namespace external {
 
-typedef std::variant<Uniform, Focusing, Quadrupole, Dipole, Solenoid, Gap, Pillbox, FieldMap> Kind;
+typedef std::variant<Uniform, Focusing, Quadrupole, Dipole, Multipole, Solenoid, Gap, Pillbox, FieldMap> Kind;
 
 /// Axes of an element: where its origin is, and its unit vectors along x, y, z in those of the laboratory.
 struct Frame {
@@ -21,11 +21,12 @@ struct Frame {
   bool is_turned() const { return axis != std::array<Real3, 3>{{{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}}; }
 };
 
-/// A kind of field somewhere; outside its extent in its own axes it is zero.
+/// A kind of field somewhere; outside its extent in its own axes, and farther from its z than its reach, it is zero.
 struct Element {
   Frame frame;
   Slab extent;
   Kind kind;
+  Real reach;  ///< m; may be infinite
 };
 
 /// Places, eight at a time, and what is there.

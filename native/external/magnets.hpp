@@ -61,6 +61,28 @@ Fields<V> field(Quadrupole const& of, Vector3<V> const& at, T const&) {
            G * x * y * (f.first - f.third * (xx + yy) / 12)}};
 }
 
+/// B_y + i B_x = Σ (b_n + i a_n) (x + i y)^n / n!. Hard edges, without end terms.
+struct Multipole {
+  static constexpr std::size_t most = 6;
+  std::array<Real, most> normal, skew;  ///< b_n / n!, a_n / n!, T/m^n
+  static constexpr bool has_edges = false;
+  static constexpr bool is_hard() { return true; }
+  static constexpr bool electric() { return false; }
+  static constexpr bool magnetic() { return true; }
+};
+
+template <class V, class T>
+Fields<V> field(Multipole const& of, Vector3<V> const& at, T const&) {
+  auto const& [x, y, z] = at;
+  V By = V{} + of.normal.back(), Bx = V{} + of.skew.back();
+  for (std::size_t n = Multipole::most - 1; n-- > 0;) {
+    V const real = By * x - Bx * y;
+    Bx = By * y + Bx * x + of.skew[n];
+    By = real + of.normal[n];
+  }
+  return {{}, {Bx, By, V{}}};
+}
+
 /// B = ∇ψ, ψ = B0 (y f - y³ Δf / 6): curl B = 0, and div B = -B0 y³ ΔΔf / 6. Positive particles that move along +z turn
 /// to -x. Hard edges: f is a step, ∇f its δ, which focuses vertically those that cross the edge at an angle. With
 /// turned pole faces, f is the product of two profiles, each along the normal of its face; a positive angle makes the

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <limits>
 
+#include "base/vector3.hpp"
 #include "particle/lane_groups.hpp"
 
 namespace amrpic {
@@ -56,7 +57,7 @@ Real share_to_solid(Aperture const& of, Real3 const& start, Real3 const& end) {
   return hole.upper < last ? hole.upper : infinity;
 }
 
-/// Eight flights in the laboratory.
+/// Eight flights in the laboratory, or in other axes.
 struct EightFlights {
   Vector3<Lanes> start, end;
 
@@ -65,6 +66,20 @@ struct EightFlights {
       start[d] = load(f.start[d], group) + f.start_offset[d];
       end[d] = load(f.end[d], group) + f.end_offset[d];
     }
+  }
+  EightFlights seen_from(Whereabouts const& where) const {
+    EightFlights out = *this;
+    for (auto const& [from, to] : {std::pair{&start, &out.start}, std::pair{&end, &out.end}}) {
+      Vector3<Lanes> away;
+      for (std::size_t d = 0; d < 3; ++d) away[d] = (*from)[d] - where.origin[d];
+      for (std::size_t d = 0; d < 3; ++d) (*to)[d] = dot(where.axis[d], away);
+    }
+    return out;
+  }
+  /// A bit for each that starts near enough to z.
+  unsigned in_reach(Real reach) const {
+    Lanes const square = start[0] * start[0] + start[1] * start[1];
+    return bits_of(Lanes{} + reach * reach >= square);
   }
   Real3 start_of(int i) const { return {start[0][i], start[1][i], start[2][i]}; }
   Real3 end_of(int i) const { return {end[0][i], end[1][i], end[2][i]}; }
@@ -86,6 +101,14 @@ unsigned may_touch(Aperture const& of, EightFlights const& f) {
   return near == 0 ? 0 : near & ~(inside(of, f.start) & inside(of, f.end));
 }
 
+/// Call f(eight flights as a thing at a place sees them, those of them that it is in reach of).
+template <class F>
+void seen_from(Whereabouts const& where, EightFlights const& eight, F&& f) {
+  if (where.is_laboratory()) return f(eight, all_lanes);
+  EightFlights const own = eight.seen_from(where);
+  f(own, own.in_reach(where.reach));
+}
+
 template <class F>
 void for_each_eight(Flights const& flights, F&& f) {
   for (std::int64_t first = 0; first < flights.count; first += lane_count) {
@@ -105,28 +128,32 @@ std::vector<Encounter> first_encounters(std::vector<Aperture> const& apertures, 
     share.fill(infinity);
     unsigned met = 0;
     for (std::size_t a = 0; a < apertures.size(); ++a)
-      for_each_bit(may_touch(apertures[a], eight) & group.lanes, [&](int i) {
-        Real const found = share_to_solid(apertures[a], eight.start_of(i), eight.end_of(i));
-        if (!(found < share[std::size_t(i)])) return;
-        share[std::size_t(i)] = found;
-        what[std::size_t(i)] = int(a);
-        met |= 1u << i;
+      seen_from(apertures[a].where, eight, [&](EightFlights const& own, unsigned in_reach) {
+        for_each_bit(may_touch(apertures[a], own) & in_reach & group.lanes, [&](int i) {
+          Real const found = share_to_solid(apertures[a], own.start_of(i), own.end_of(i));
+          if (!(found < share[std::size_t(i)])) return;
+          share[std::size_t(i)] = found;
+          what[std::size_t(i)] = int(a);
+          met |= 1u << i;
+        });
       });
     for_each_bit(met, [&](int i) { out.push_back({group.first + i, what[std::size_t(i)], share[std::size_t(i)]}); });
   });
   return out;
 }
 
-std::vector<Encounter> crossings(std::vector<Real> const& planes, Flights const& flights) {
+std::vector<Encounter> crossings(std::vector<Screen> const& screens, Flights const& flights) {
   std::vector<Encounter> out;
   for_each_eight(flights, [&](LaneGroup const& group, EightFlights const& eight) {
-    for (std::size_t p = 0; p < planes.size(); ++p) {
-      auto const below = [&](Lanes const& z) { return bits_of(z < Lanes{} + planes[p]); };
-      for_each_bit((below(eight.start[2]) ^ below(eight.end[2])) & group.lanes, [&](int i) {
-        Real const start = eight.start[2][i], way = eight.end[2][i] - start;
-        out.push_back({group.first + i, int(p), (planes[p] - start) / way});
+    for (std::size_t s = 0; s < screens.size(); ++s)
+      seen_from(screens[s].where, eight, [&](EightFlights const& own, unsigned in_reach) {
+        Real const place = screens[s].z;
+        auto const below = [&](Lanes const& z) { return bits_of(z < Lanes{} + place); };
+        for_each_bit((below(own.start[2]) ^ below(own.end[2])) & in_reach & group.lanes, [&](int i) {
+          Real const start = own.start[2][i], way = own.end[2][i] - start;
+          out.push_back({group.first + i, int(s), (place - start) / way});
+        });
       });
-    }
   });
   return out;
 }

@@ -1,12 +1,22 @@
 #pragma once
 
 #include <cstdint>
+#include <limits>
 #include <vector>
 
 #include "base/types.hpp"
 #include "external/flight.hpp"
 
 namespace amrpic {
+
+/// Axes of what flights meet, and how far from its z they do.
+struct Whereabouts {
+  Real3 origin{};  ///< m, in the laboratory
+  std::array<Real3, 3> axis{{{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}};
+  Real reach = std::numeric_limits<Real>::infinity();  ///< m, of places where flights start
+
+  bool is_laboratory() const { return origin == Real3{} && axis == Whereabouts{}.axis && std::isinf(reach); }
+};
 
 /// Solid between two planes of constant z, which may lie at infinity, with a hole along z.
 struct Aperture {
@@ -16,6 +26,13 @@ struct Aperture {
   std::array<Real, 2> centre;      ///< of the hole in x and y, m
   std::array<Real, 2> half_width;  ///< m
   external::Interval z;            ///< m
+  Whereabouts where{};             ///< of these coordinates
+};
+
+/// A plane of constant z.
+struct Screen {
+  Real z;  ///< m
+  Whereabouts where{};
 };
 
 /// Straight flights of particles, whose places were taken in axes that moved: those of the laboratory are offset by
@@ -37,7 +54,7 @@ struct Encounter {
 /// apertures that are met at the same place the first one counts. A wall of a hole is still in the hole.
 std::vector<Encounter> first_encounters(std::vector<Aperture> const& apertures, Flights const& flights);
 
-/// Where flights cross planes of constant z, flight by flight. Of flights that follow each other one crosses.
-std::vector<Encounter> crossings(std::vector<Real> const& planes, Flights const& flights);
+/// Where flights cross screens, flight by flight. Of flights that follow each other one crosses.
+std::vector<Encounter> crossings(std::vector<Screen> const& screens, Flights const& flights);
 
 }  // namespace amrpic

@@ -34,6 +34,16 @@ inline void pass(Group& on, Pusher pusher, Components const& b, Components const
   for (int d = 0; d < 3; ++d) on.x[d] = on.x[d] - shift * (on.p[d] - before[d]);
 }
 
+/// Shift places so that changes of velocity in fields that end on the way count from their own times on.
+inline void shift_by_moments(Group& on, Edges<Lanes> const& edges) {
+  Components const v = on.velocity(), turn = cross(v, edges.magnetic_moment);
+  Components force;
+  for (int d = 0; d < 3; ++d) force[d] = edges.electric_moment[d] + turn[d];
+  Lanes const power = dot(v, force) * (1 / (speed_of_light * speed_of_light));
+  Lanes const by = on.charge * on.inverse_mass * inverse_gamma(on.p, on.per_mc);
+  for (int d = 0; d < 3; ++d) on.x[d] = on.x[d] - by * (force[d] - power * v[d]);
+}
+
 /// One of the parts, in fields of elements that may end on the way. What these have in the planes where they begin and
 /// end acts first and last.
 inline void act_along_flight(Group& on, Components e, Components b, Real time, bool is_before, Motion const& motion) {
@@ -45,6 +55,7 @@ inline void act_along_flight(Group& on, Components e, Components b, Real time, b
   if (edges.crossed) pass(on, motion.pusher, edges.first, edges.normal, arriving, time, edges.entered);
   on.act(motion.pusher, e, b, time);
   if (edges.crossed) pass(on, motion.pusher, edges.last, edges.normal, arriving, time, edges.left);
+  shift_by_moments(on, edges);
 }
 
 /// Both of them. Return the momenta between.

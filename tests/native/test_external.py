@@ -23,6 +23,7 @@ from amrpic.scene.elements import (
     DipoleElement,
     Element,
     GapElement,
+    MultipoleElement,
     QuadrupoleElement,
     SolenoidElement,
     UniformElement,
@@ -50,6 +51,7 @@ HARD: dict[str, Element] = {
     "quadrupole": QuadrupoleElement(kind="quadrupole", length=0.2, gradient=12.0),
     "dipole": DipoleElement(kind="dipole", length=0.2, field=0.8),
     "solenoid": SolenoidElement(kind="solenoid", length=0.2, field=0.5),
+    "multipole": MultipoleElement(kind="multipole", length=0.2, normal=[0.1, -2.0], skew=[-0.05, 3.0]),
 }
 TURNED = DipoleElement(kind="dipole", length=0.2, field=0.8, entrance_angle=0.6, exit_angle=-0.4)
 CAVITY = CavityElement(kind="cavity", length=0.2, field=2e6, frequency=1.3e9, phase=0.3)
@@ -631,3 +633,48 @@ def test_leapfrog_through_hard_edges_is_of_second_order(name, tilted):
         errors.append(np.linalg.norm(np.hstack([places @ turned.T, velocities @ turned.T]) - exact, axis=1).mean())
     order = -np.polyfit(np.log(2.0) * np.arange(5), np.log(errors), 1)[0]
     assert order > 1.85
+
+
+# ---- multipoles and reach ----
+def test_a_multipole_is_a_power_of_the_place():
+    """B_y + i B_x = Σ (b_n + i a_n) (x + i y)^n / n!"""
+    element = MultipoleElement(
+        kind="multipole", length=0.2, normal=[0.1, -2.0, 30.0, 0.0, 2e4, 5e5], skew=[-0.05, 3.0, 20.0, 400.0]
+    )
+    x, y = RNG(5).uniform(-0.02, 0.02, (2, 50))
+    expected = sum(
+        (b + 1j * a) * (x + 1j * y) ** n / math.factorial(n)
+        for n, (b, a) in enumerate(zip(element.normal, [*element.skew, 0.0, 0.0], strict=True))
+    )
+    _, found = ExternalFields([element]).fields(np.stack([x, y, 0 * x], axis=1))
+    assert found[:, 1] + 1j * found[:, 0] == pytest.approx(expected, rel=1e-12)
+    assert (found[:, 2] == 0).all()
+
+
+@pytest.mark.parametrize("name", HARD)
+def test_elements_act_within_their_reach_alone(name):
+    direction, centre = (0.6, -0.2, 0.7), np.array([0.1, 0.2, -0.3])
+    wide = HARD[name].model_copy(update={"direction": direction, "centre": tuple(centre)})
+    narrow = wide.model_copy(update={"reach": 0.02})
+    frame = np.array(axes(direction, 0.0))
+    own = RNG(6).uniform(-0.04, 0.04, (400, 3))
+    v = RNG(7).normal(size=(400, 3)) * 0.1 * C + 0.3 * C * frame[2]
+    flights = own @ frame + centre, v, TIME, -2e-10, 0.0
+    near = np.hypot(own[:, 0], own[:, 1]) <= 0.02
+    for all_, within in zip(
+        ExternalFields([wide]).means(*flights), ExternalFields([narrow]).means(*flights), strict=True
+    ):
+        assert within[near] == pytest.approx(all_[near], rel=1e-12, abs=1e-12)
+        assert (within[~near] == 0).all()
+    assert 50 < near.sum() < 350
+
+
+def test_a_reach_leaves_the_other_side_of_a_ring_alone():
+    """Two magnets that look past each other at the same z, one of them a turned one."""
+    magnets = [
+        QuadrupoleElement(kind="quadrupole", length=0.2, gradient=12.0, centre=(x, 0, 0), direction=way, reach=0.1)
+        for x, way in ((-2.0, (0, 0, 1)), (2.0, (0.1, 0, -1)))
+    ]
+    places = np.array([[-2.0, 0.01, 0.05], [2.0, 0.01, 0.05], [0.0, 0.01, 0.05]])
+    _, found = ExternalFields(magnets).fields(places)
+    assert (np.abs(found[:2, 0]) > 0.1).all() and (found[2] == 0).all()

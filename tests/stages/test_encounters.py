@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from amrpic import Scene, Simulation
+from amrpic import Scene, Simulation, _native
 from amrpic.errors import ParticleError
+from amrpic.mesh.directions import axes
 from amrpic.mesh.domain import FACES, Domain
 from amrpic.mesh.window import Window
-from amrpic.scene.obstacles import EllipticAperture, RectangularAperture, RoundAperture
-from amrpic.stages.encounters import Flights, native_aperture
+from amrpic.scene.obstacles import EllipticAperture, RectangularAperture, RoundAperture, Screen
+from amrpic.stages.encounters import Encounters, Flights, native_aperture, native_screen
 
 HERE = Window()
 WIDE = Domain((-20, -20, -20), (20, 20, 20), (8, 8, 8))
@@ -23,6 +24,8 @@ APERTURES = (
     RoundAperture(kind="round", radius=1.5),
 )
 PLANES = (-0.5, 0.0, 0.7)
+NO = Encounters(*(np.zeros(0, int) for _ in range(5)))
+SCREENS = [_native.Screen(z) for z in PLANES]
 
 
 def columns(values: Any) -> np.ndarray:
@@ -135,7 +138,7 @@ def test_crossings_of_planes_in_both_directions_until_a_flight_is_lost():
     native = [native_aperture(APERTURES[0])]
     way = flights(start, end)
     lost = way.losses(native)
-    all_of, met = way.crossings(PLANES, way.losses([])), way.crossings(PLANES, lost)
+    all_of, met = way.crossings(SCREENS, way.losses([])), way.crossings(SCREENS, lost)
     z, dz = start[:, 2:], (end - start)[:, 2:]
     crosses = (z < PLANES) != (z + dz < PLANES)
     assert len(all_of) == crosses.sum() > 500
@@ -154,7 +157,7 @@ def test_crossings_of_planes_in_both_directions_until_a_flight_is_lost():
 def test_of_flights_that_follow_each_other_one_crosses():
     z = np.array([-1.0, -0.5, -0.5, 0.0, 0.3, 0.0, -0.2])  # two stops on planes
     path = np.stack([0 * z, 0 * z, z], axis=1)
-    met = flights(path[:-1], path[1:]).crossings(PLANES, flights(path[:0], path[:0]).losses([]))
+    met = flights(path[:-1], path[1:]).crossings(SCREENS, flights(path[:0], path[:0]).losses([]))
     assert [(PLANES[w], d) for w, d in zip(met.what, met.direction, strict=True)] == [(-0.5, 1), (0.0, 1), (0.0, -1)]
 
 
@@ -247,7 +250,7 @@ def test_a_window_that_moves_and_turns_leaves_apertures_and_planes_in_the_labora
     moving = flights(seen[0], seen[1], WIDE, before, after)
     for a, b in (
         (still.losses(native), moving.losses(native)),
-        (still.crossings(PLANES, still.losses([])), moving.crossings(PLANES, moving.losses([]))),
+        (still.crossings(SCREENS, still.losses([])), moving.crossings(SCREENS, moving.losses([]))),
     ):
         assert len(a) > 100 and np.array_equal(a.flight, b.flight) and np.array_equal(a.what, b.what)
         np.testing.assert_allclose(a.share, b.share, rtol=0, atol=1e-11)
@@ -274,7 +277,9 @@ def test_flights_through_any_number_of_periods_meet_what_a_line_of_copies_has():
     start = rng.uniform(-0.9, 0.9, (40, 3)) * (0.1, 0.1, 1)
     way = np.stack([np.zeros(40), np.zeros(40), rng.choice([-1, 1], 40) * 10.0 ** rng.uniform(0, 2.5, 40)], axis=1)
     end = start + way
-    met = flights(start, end, periodic).crossings(planes, flights(start[:0], end[:0], periodic).losses([]))
+    met = flights(start, end, periodic).crossings(
+        [_native.Screen(z) for z in planes], flights(start[:0], end[:0], periodic).losses([])
+    )
     wanted = []
     for n, (z, to) in enumerate(zip(start[:, 2], end[:, 2], strict=True)):
         for what, plane in enumerate(planes):
@@ -309,7 +314,7 @@ def test_a_particle_that_steps_over_a_periodic_face_is_recorded_once_on_either_s
         z, counts = 0.5, np.zeros(3, int)
         for _ in range(40):
             way = flights([[0, 0, z]], [[0, 0, z + step]], periodic)
-            met = way.crossings((-1.0, 0.0, 1.0), way.losses([]))
+            met = way.crossings([_native.Screen(z) for z in (-1.0, 0.0, 1.0)], way.losses([]))
             counts += np.bincount(met.what, minlength=3)
             z = (z + step + 1) % 2 - 1
         assert np.all(np.abs(counts - 40 * abs(step) / 2) <= 1) and counts[0] == counts[2], (step, counts)
@@ -341,3 +346,29 @@ def test_a_flight_too_long_to_be_followed_is_refused_on_all_ranks(comm):
     simulation = Simulation(comm, Scene.from_dict(scene))
     with pytest.raises(ParticleError, match=r"7.57e\+04 periods of the domain in a step.*; shorten motion.dt"):
         simulation.advance()
+
+
+@pytest.mark.parametrize("kind", ["round", "rectangular"])
+def test_turned_apertures_and_screens_are_those_along_z_turned(kind):
+    rng = np.random.default_rng(9)
+    direction, centre = (0.5, -0.3, -0.8), (0.1, 0.2, -0.1)
+    frame = np.array(axes(direction, 0.4))
+    hole: dict[str, Any] = {"radius": 0.5} if kind == "round" else {"half_widths": (0.4, 0.7)}
+    shape = RoundAperture if kind == "round" else RectangularAperture
+    own = rng.uniform(-1, 1, (2, 300, 3))
+    turned = [values @ frame + centre for values in own]
+    straight, other = flights(own[0], own[1], WIDE), flights(turned[0], turned[1], WIDE)
+    plain = shape(kind=kind, length=0.3, **hole)
+    placed = shape(kind=kind, length=0.3, centre=centre, direction=direction, roll=0.4, **hole)
+    screens = Screen(name="a", z=0.2), Screen(name="b", centre=tuple(0.2 * frame[2] + centre), direction=direction)
+    pairs = [
+        (straight.losses([native_aperture(plain)]), other.losses([native_aperture(placed)])),
+        (straight.crossings([native_screen(screens[0])], NO), other.crossings([native_screen(screens[1])], NO)),
+    ]
+    for one, two in pairs:
+        assert len(one) > 50 and np.array_equal(one.flight, two.flight)
+        np.testing.assert_allclose(one.share, two.share, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(one.place @ frame + centre, two.place, rtol=0, atol=1e-12)
+    reach = placed.model_copy(update={"reach": 0.8})
+    found = other.losses([native_aperture(reach)])
+    assert set(found.flight) == {n for n in pairs[0][0].flight if np.hypot(*own[0][n, :2]) <= 0.8}

@@ -1,0 +1,68 @@
+"""amrpic scan: a scene for all combinations of some of its values."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from mpi4py import MPI
+
+from ..drivers.scan import PICTURE, SHOWN, TABLE, Row, drawn, scan, values_of
+from ..errors import InputError
+from .arguments import Commands, command, count
+from .text_table import columns
+
+FAILED = 1  # exit status, if a run has failed
+
+
+def add(commands: Commands) -> None:
+    """Add the command to the parser."""
+    added = command(
+        commands, "scan", _scan, "run a scene for all combinations of some of its values", "at work on the scan"
+    )
+    added.add_argument("scene", metavar="SCENE", help="a scene file in TOML")
+    added.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE,…",
+        help="values that a key takes in turn, such as bunches.0.charge=1e-12,2e-12; several if repeated",
+    )
+    added.add_argument("--output", metavar="DIR", help="folder of the scan; default runs/<scene>_scan")
+    added.add_argument("--ranks", type=count, default=1, metavar="N", help="MPI ranks of each run")
+    added.add_argument(
+        "--show",
+        action="append",
+        metavar="COLUMN",
+        help="of series.csv or beam.csv, in picture and table; several if repeated",
+    )
+
+
+def _scan(chosen: argparse.Namespace) -> int:
+    """Return 0 if all runs have ended well. On one rank: it starts those of the runs."""
+    if MPI.COMM_WORLD.size > 1:
+        raise InputError("amrpic scan starts the ranks of its runs itself; leave mpiexec out, and use --ranks")
+    values = dict(values_of(assignment) for assignment in chosen.set)
+    if not values:
+        raise InputError("nothing is set; give --set KEY=VALUE,VALUE,… for at least one key")
+    folder = Path(chosen.output or f"runs/{Path(chosen.scene).stem}_scan")
+    rows: list[Row] = []
+    for row in scan(chosen.scene, values, folder, chosen.ranks):
+        rows.append(row)
+        print(
+            ", ".join(f"{key} = {value}" for key, value in row.inputs.items()),
+            row.failure or "ended",
+            sep=": ",
+            flush=True,
+        )
+    shown = chosen.show or [name for name in SHOWN if any(row.numbers.get(name) for row in rows)]
+    head = [*values, *shown]
+    print(*columns([head, *([*row.inputs.values(), *(_brief(row, name) for name in shown)] for row in rows)]), sep="\n")
+    if any(row.numbers for row in rows):
+        drawn([row for row in rows if row.numbers], shown).savefig(folder / PICTURE, dpi=120)
+    print(f"{folder / TABLE} has all numbers, {PICTURE} beside it a picture")
+    return FAILED if any(row.failure for row in rows) else 0
+
+
+def _brief(row: Row, name: str) -> str:
+    return f"{row.numbers[name]:.6g}" if name in row.numbers else "–"

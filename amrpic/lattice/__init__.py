@@ -1,0 +1,1 @@
+"""Lattices that other codes describe, as elements of a scene: read, laid out along the orbit, and converted."""

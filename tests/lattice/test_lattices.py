@@ -1,0 +1,269 @@
+"""Lattices of PALS and MAD-X as elements of a scene."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import amrpic
+from amrpic.errors import InputError
+from amrpic.lattice import pals
+from amrpic.lattice.orbit import START, exit_of
+from amrpic.scene.lattice import LatticeSection
+from exact.lattices import MADX, PALS, matrix, starts, tracked
+
+HEAD = "PALS:\n  facility:\n    - begin: {kind: BeginningEle, ReferenceP: {species_ref: proton, pc_ref: 3.0e8}}\n"
+
+
+def written(folder: Path, text: str, name: str = "line.pals.yaml") -> Path:
+    (folder / name).write_text(text, encoding="utf-8")
+    return folder / name
+
+
+def line_of(folder: Path, text: str, name: str | None = None) -> list[str]:
+    return [piece.name for piece in pals.read(str(written(folder, HEAD + text)), name).pieces]
+
+
+# ---- lines of PALS ----
+def test_lines_repeat_reverse_and_inherit(tmp_path):
+    text = """
+    - a: {kind: Drift, length: 0.1}
+    - b: {kind: Quadrupole, length: 0.2, MagneticMultipoleP: {Kn1: 1.0}}
+    - cell: {kind: BeamLine, line: [a, b, c: {inherit: b, MagneticMultipoleP: {Kn1: -2.0}}]}
+    - all: {kind: BeamLine, line: [begin, cell: {repeat: 2}, cell: {repeat: -1}, a: {repeat: 2}]}
+    - ring: {kind: Lattice, branches: [x: {inherit: all}]}
+    - use: ring
+"""
+    assert line_of(tmp_path, text) == ["begin", *"abcabccbaaa"]
+    pieces = pals.read(str(tmp_path / "line.pals.yaml")).pieces
+    assert (pieces[3].length, pieces[3].normal) == (0.2, {1: -2.0})
+    assert line_of(tmp_path, text, "cell") == list("abc")
+
+
+def test_a_line_that_is_passed_backwards_has_its_faces_exchanged(tmp_path):
+    text = """
+    - m: {kind: Bend, length: 0.5, BendP: {angle_ref: 0.2, e1: 0.05, e2: -0.03}}
+    - a: {kind: Drift, length: 0.1}
+    - cell: {kind: BeamLine, line: [a, m]}
+    - all: {kind: BeamLine, line: [begin, cell: {direction: -1}]}
+"""
+    assert line_of(tmp_path, text) == ["begin", "m", "a"]
+    assert pals.read(str(tmp_path / "line.pals.yaml")).pieces[1].faces == (-0.03, 0.05)
+
+
+def test_numbers_may_be_expressions(tmp_path):
+    text = """
+    - constants: {one: 1 + 2*3, two: one^2 / 7}
+    - a: {kind: Drift, length: two + sin(0)}
+    - all: {kind: BeamLine, line: [begin, a]}
+"""
+    line_of(tmp_path, text)
+    assert pals.read(str(tmp_path / "line.pals.yaml")).length == pytest.approx(7)
+
+
+@pytest.mark.parametrize(
+    "line, what",
+    [
+        ("- q: {kind: Quadrupole, length: 0.1, gradient: 3}", "unknown key 'gradient'"),
+        ("- q: {kind: Quadrupole, length: 0.1, MagneticMultipoleP: {k1: 3}}", "unknown key 'k1'"),
+        ("- q: {kind: Quadrupole, MagneticMultipoleP: {Kn1: 3}}", "no length"),
+        ("- q: {kind: Bend, length: 0.1, BendP: {angel_ref: 3}}", "unknown key 'angel_ref'"),
+        ("- q: {kind: Bend, length: 0.1, BendP: {angle_ref: 0.1, g_ref: 3}}", "by its curvature"),
+        ("- q: {kind: Drift, length: os.system(1)}", "no expression"),
+        ("- q: {kind: Drift, length: unknown}", "unknown"),
+        ("- q: {inherit: nothing}", "not defined"),
+        ("- q", "no definition"),
+        ("- load: {file: other}", "not understood"),
+    ],
+)
+def test_what_is_not_understood_is_refused(tmp_path, line, what):
+    text = f"\n    {line}\n    - all: {{kind: BeamLine, line: [begin, q]}}\n"
+    with pytest.raises(InputError, match=what) as refused:
+        line_of(tmp_path, text)
+    assert "\n" not in str(refused.value)
+
+
+def test_what_has_no_counterpart_is_refused_by_name_and_place_or_is_a_drift(tmp_path):
+    file = written(
+        tmp_path,
+        HEAD
+        + """
+    - w: {kind: Wiggler, length: 0.3}
+    - m: {kind: Bend, length: 0.5, BendP: {angle_ref: 0.2, edge1_int: 0.01}}
+    - all: {kind: BeamLine, line: [begin, a: {kind: Drift, length: 0.5}, w, m]}
+""",
+    )
+    with pytest.raises(InputError, match=r"w at s = 0.5 m is a Wiggler.*and 1 more"):
+        LatticeSection(file=str(file)).converted()
+    of = LatticeSection(file=str(file), missing="drift").converted()
+    assert [element["kind"] for element in of.elements] == ["dipole"]
+    assert of.placed[-1].became == ["dipole", "without fringe integrals"]
+    assert of.placed[2].became == ["drift"]
+
+
+def test_a_lattice_without_a_reference_particle_asks_for_one(tmp_path):
+    file = written(tmp_path, "PALS:\n  facility:\n    - all: {kind: BeamLine, line: [a: {kind: Drift, length: 1}]}\n")
+    with pytest.raises(InputError, match="species and"):
+        LatticeSection(file=str(file)).converted()
+    assert LatticeSection(file=str(file), species="proton", kinetic_energy="45 MeV").converted().reference.momentum > 0
+
+
+# ---- scenes ----
+def test_the_elements_of_a_lattice_are_those_of_the_scene(tmp_path):
+    written(tmp_path, PALS)
+    scene = tmp_path / "scene.toml"
+    scene.write_text(
+        'lattice = "line.pals.yaml"\n[domain]\nlower = -0.05\nupper = 0.05\ncells = 8\nboundary = "open"\n'
+        '[motion]\nkind = "leapfrog"\nwindow = "reference"\ndt = "auto"\n',
+        encoding="utf-8",
+    )
+    given = amrpic.Scene.from_toml(scene)
+    assert len(given.elements) == 13 and given.lattice is None
+    assert math.hypot(*given.motion.reference.mean_momentum) == pytest.approx(3e8 * 1.602176634e-19 / 299792458)
+    again = amrpic.Scene.from_dict(given.to_dict())
+    assert again.elements == given.elements
+
+
+def test_apertures_and_monitors_follow_the_orbit(tmp_path):
+    file = written(
+        tmp_path,
+        HEAD
+        + """
+    - m: {kind: Bend, length: 1.0, BendP: {angle_ref: 1.5707963267948966}}
+    - h: {kind: Mask, length: 0.1, ApertureP: {shape: RECTANGULAR, x_width: 0.02, y_width: 0.04, location: EVERYWHERE}}
+    - s: {kind: Instrument}
+    - all: {kind: BeamLine, line: [begin, m, h, s]}
+""",
+    )
+    of = LatticeSection(file=str(file)).converted()
+    radius = 2 / np.pi
+    assert of.apertures[0]["centre"] == pytest.approx([-radius - 0.05, 0, radius])
+    assert of.screens[0]["centre"] == pytest.approx([-radius - 0.1, 0, radius])
+    assert of.screens[0]["direction"] == pytest.approx([-1, 0, 0])
+    assert of.apertures[0]["half_widths"] == [0.01, 0.02] and of.apertures[0]["length"] == 0.1
+
+
+# ---- rings ----
+CELLS = 12
+CELL = """
+    - begin: {kind: BeginningEle, ReferenceP: {species_ref: proton, pc_ref: 3.0e8}}
+    - d: {kind: Drift, length: 0.2}
+    - e: {kind: Drift, length: 0.1}
+    - f: {kind: Quadrupole, length: 0.2, MagneticMultipoleP: {Kn1: 2.5}}
+    - q: {kind: Quadrupole, length: 0.2, MagneticMultipoleP: {Kn1: -2.5}}
+    - m: {kind: Bend, length: 0.5, BendP: {angle_ref: 0.2617993877991494}}
+    - cell: {kind: BeamLine, line: [e, m, d, q, d, m, d, f, e]}
+"""
+
+
+def transverse() -> np.ndarray:
+    """x and y (2, 2, 2) of a cell: drifts, quadrupoles, sectors (K. L. Brown, SLAC-75)."""
+
+    def magnet(length: float, k: float) -> np.ndarray:
+        w = np.sqrt(complex(k))
+        c, s = np.cos(w * length), np.sin(w * length) / w if k else length
+        return np.array([[c, s], [-k * s, c]]).real
+
+    h = 0.2617993877991494 / 0.5
+    out = []
+    for sign, weak in ((1, h**2), (-1, 0.0)):
+        half, drift, middle, sector = (
+            magnet(0.1, sign * 2.5),
+            magnet(0.2, 0),
+            magnet(0.2, -sign * 2.5),
+            magnet(0.5, weak),
+        )
+        out.append(half @ drift @ sector @ drift @ middle @ drift @ sector @ drift @ half)
+    return np.array(out)
+
+
+def test_a_ring_closes(tmp_path):
+    file = written(
+        tmp_path, f"PALS:\n  facility:{CELL}    - all: {{kind: BeamLine, line: [begin, cell: {{repeat: 12}}]}}\n"
+    )
+    end = LatticeSection(file=str(file)).converted().end
+    assert np.abs(end.origin).max() < 1e-12 and np.abs(end.axes - np.eye(3)).max() < 1e-12
+
+
+@pytest.mark.long
+def test_a_ring_has_the_tunes_of_its_matrix(tmp_path):
+    """A turn through all cells, each of which meets its own magnets alone."""
+    line = "all: {kind: BeamLine, line: [begin, cell: {repeat: 12}]}"
+    found = tracked(written(tmp_path, f"PALS:\n  facility:{CELL}    - {line}\n"), 5e-11, from_end=0.05)
+    assert np.abs(found[0, :4]).max() < 1e-5
+    turn = matrix(found)
+    for plane, cell in enumerate(transverse()):
+        rows = slice(2 * plane, 2 * plane + 2)
+        tunes = [
+            np.arccos(np.trace(of) / 2) / (2 * np.pi) for of in (turn[rows, rows], np.linalg.matrix_power(cell, CELLS))
+        ]
+        assert tunes[0] == pytest.approx(tunes[1], abs=1e-4)
+
+
+# ---- beside xtrack ----
+def test_sequences_of_madx_give_the_same_elements(tmp_path):
+    pytest.importorskip("xtrack")
+    ours, theirs = (
+        LatticeSection(file=str(written(tmp_path, text, name))).converted()
+        for text, name in ((PALS, "line.pals.yaml"), (MADX, "line.madx"))
+    )
+    assert len(ours.elements) == len(theirs.elements) == 13
+    for one, other in zip(ours.elements, theirs.elements, strict=True):
+        assert one["name"] == other["name"] and set(one) == set(other)
+        for key in set(one) - {"name", "kind"}:
+            assert np.asarray(one[key], dtype=float) == pytest.approx(np.asarray(other[key], dtype=float), abs=1e-9), (
+                key
+            )
+
+
+@pytest.mark.long
+def test_transfer_matrices_are_those_of_xtrack(tmp_path, monkeypatch):
+    xtrack = pytest.importorskip("xtrack")
+    monkeypatch.setenv("XSUITE_ALLOW_KERNEL_COMPILATION", "1")
+    monkeypatch.chdir(tmp_path)
+    line = xtrack.load(str(written(tmp_path, MADX, "line.madx")), format="madx")["sq"]
+    line.build_tracker()
+    names = ("x", "px", "y", "py", "zeta", "delta")
+    particles = line.build_particles(**dict(zip(names, starts().T, strict=True)))
+    line.track(particles)
+    order = np.argsort(particles.particle_id)
+    expected = matrix(np.stack([getattr(particles, name) for name in names], axis=1)[order])
+    found = matrix(tracked(written(tmp_path, PALS), 5e-11))
+    # of the cavity, which here focuses across as well: 1.5e-5 for each m of its arms
+    assert np.abs(found - expected).max() < 1e-4
+    assert found[5, 4] == pytest.approx(expected[5, 4], rel=0.02)
+
+
+def test_a_line_of_steps_of_second_order(tmp_path):
+    """Faces at an angle, which cut steps at places that go with x, leave the derivative by x of second order."""
+    text = (
+        HEAD
+        + """
+    - m: {kind: Bend, length: 0.5, BendP: {angle_ref: 0.2, e1: 0.3, e2: 0.2}}
+    - all: {kind: BeamLine, line: [begin, a: {kind: Drift, length: 0.2}, m, b: {kind: Drift, length: 0.4}]}
+"""
+    )
+    file = written(tmp_path, text)
+    steps = 2e-10, 1e-10, 5e-11
+    h, drift = 0.4, [np.array([[1.0, length], [0, 1]]) for length in (0.2, 0.4)]
+    c, s = np.cos(0.2), np.sin(0.2)
+    sectors = np.array([[c, s / h], [-h * s, c]]), np.array([[1, 0.5], [0, 1]])
+    expected = []
+    for sign, sector in zip((1, -1), sectors, strict=True):
+        entrance, exit = (np.array([[1, 0], [sign * h * np.tan(e), 1]]) for e in (0.3, 0.2))
+        expected.append(drift[1] @ exit @ sector @ entrance @ drift[0])
+    errors = []
+    for dt in steps:
+        found = matrix(tracked(file, dt))
+        errors.append(max(np.abs(found[2 * n : 2 * n + 2, 2 * n : 2 * n + 2] - expected[n]).max() for n in (0, 1)))
+    assert errors[1] < 1e-4 and errors[2] < 3e-5, errors
+
+
+def test_frames_turn_with_the_orbit():
+    piece = pals.LatticePiece("m", "bend", length=1.0, angle=0.3, tilt=math.pi / 2)
+    end = exit_of(START, piece)
+    assert end.direction == pytest.approx((0, -math.sin(0.3), math.cos(0.3)))
+    assert end.axes[0] == pytest.approx([1, 0, 0], abs=1e-15)

@@ -618,7 +618,7 @@ class ExternalElement:
         | PillboxField
         | MapField,
         slope: Sequence[float] = [0.0, 0.0],
-        reach: float = ...,
+        reach: float = float("inf"),
     ) -> None:
         """
         The extent is along z; its lower and upper end are planes that rise with x by the slopes. Reach: from z, m.
@@ -1031,6 +1031,7 @@ class Hole(enum.Enum):
 class Whereabouts:
     def __init__(self, origin: Sequence[float], axes: Sequence[Sequence[float]], reach: float) -> None:
         """Origin (m) and unit vectors; flights that start farther from z miss."""
+
     @property
     def is_turned(self) -> bool: ...
 

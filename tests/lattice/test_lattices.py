@@ -122,7 +122,9 @@ def test_the_elements_of_a_lattice_are_those_of_the_scene(tmp_path):
     )
     given = amrpic.Scene.from_toml(scene)
     assert len(given.elements) == 13 and given.lattice is None
-    assert math.hypot(*given.motion.reference.mean_momentum) == pytest.approx(3e8 * 1.602176634e-19 / 299792458)
+    reference = given.motion.reference
+    assert reference is not None
+    assert math.hypot(*reference.mean_momentum) == pytest.approx(3e8 * 1.602176634e-19 / 299792458)
     again = amrpic.Scene.from_dict(given.to_dict())
     assert again.elements == given.elements
 

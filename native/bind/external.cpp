@@ -188,7 +188,8 @@ void bind_external(nb::module_& m) {
           },
           "origin"_a, "axes"_a, "extent"_a, "kind"_a, "slope"_a = std::array<Real, 2>{},
           "reach"_a = std::numeric_limits<Real>::infinity(),
-          "The extent is along z; its lower and upper end are planes that rise with x by the slopes. Reach: from z, m.");
+          "The extent is along z; its lower and upper end are planes that rise with x by the slopes. Reach: from z, "
+          "m.");
 
   nb::class_<ExternalFields>(m, "ExternalFields")
       .def(nb::init<std::vector<Element>>(), "elements"_a)

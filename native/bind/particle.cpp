@@ -300,8 +300,11 @@ void bind_particle(nb::module_& m) {
       });
   nb::class_<Screen>(m, "Screen")
       .def(
-          "__init__", [](Screen* self, Real z, Whereabouts const& where) { new (self) Screen{z, where}; }, "z"_a,
-          "where"_a = Whereabouts{})
+          "__init__",
+          [](Screen* self, Real z, Whereabouts const& where) {
+            new (self) Screen{z, where};
+          },
+          "z"_a, "where"_a = Whereabouts{})
       .def_ro("z", &Screen::z)
       .def_prop_ro("is_turned", [](Screen const& of) { return !of.where.is_laboratory(); });
   m.def(
@@ -314,9 +317,7 @@ void bind_particle(nb::module_& m) {
   m.def(
       "crossings",
       [](std::vector<Screen> const& screens, ConstColumns start, ConstColumns end, Real3 start_offset,
-         Real3 end_offset) {
-        return to_arrays(crossings(screens, flights(start, end, start_offset, end_offset)));
-      },
+         Real3 end_offset) { return to_arrays(crossings(screens, flights(start, end, start_offset, end_offset))); },
       "screens"_a, "start"_a, "end"_a, "start_offset"_a, "end_offset"_a);
 
   m.def(

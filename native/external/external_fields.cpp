@@ -161,7 +161,7 @@ bool add_at(Of const& of, Element const& element, Interval const& z, bool turned
   Real const origin = element.frame.origin[2];
   bool const wide = std::isinf(element.reach);
   bool const whole = wide && (extent.everywhere() || (extent.is_straight() && z.lower >= origin + inside.lower.place &&
-                                              z.upper < origin + inside.upper.place));
+                                                      z.upper < origin + inside.upper.place));
   if (whole && !turned) {
     add_inside(of, element.frame, time, at);
     return false;

@@ -15,9 +15,10 @@ struct Flight {
 /// What becomes of flights at the ends of fields: means of B in the planes where these begin or end at once.
 template <class V>
 struct Edges {
-  V ends{};              ///< 1 for a flight of which a part alone lies between the ends of some field, else 0
-  Vector3<V> electric_moment{}, magnetic_moment{};  ///< ∫ E t dt and ∫ B t dt of those, V s²/m and T s²; see `moment_of`
-  bool crossed = false;  ///< whether any flight gets something in a plane; if not, the rest has no values
+  V ends{};  ///< 1 for a flight of which a part alone lies between the ends of some field, else 0
+  Vector3<V> electric_moment{},
+      magnetic_moment{};  ///< ∫ E t dt and ∫ B t dt of those, V s²/m and T s²; see `moment_of`
+  bool crossed = false;   ///< whether any flight gets something in a plane; if not, the rest has no values
 
   Vector3<V> first, last;  ///< T; in planes where a flight enters a field, and where it leaves it
   V entered, left;         ///< s, when
@@ -117,9 +118,9 @@ Part<V> part_inside(Slab const& slab, Segment<V> const& segment) {
 }
 
 /// ∫ t dt, in s², over the part of a flight between two planes, t from the place where steps meet: the change of
-/// velocity on it counts from its own time on. What lies between them at the other end of the flight, in the middle of a
-/// drift, is taken to go on in the other half of that, whose change of velocity counts from where steps meet: that half
-/// is included, with the opposite sign. So flights that lie between the planes all along have none.
+/// velocity on it counts from its own time on. What lies between them at the other end of the flight, in the middle of
+/// a drift, is taken to go on in the other half of that, whose change of velocity counts from where steps meet: that
+/// half is included, with the opposite sign. So flights that lie between the planes all along have none.
 template <class V>
 V moment_of(Slab const& slab, Segment<V> const& segment, Part<V> const& part, Flight<V> const& flight) {
   Real const lasts = flight.to - flight.from, sign = flight.from < 0 ? -1 : 1;

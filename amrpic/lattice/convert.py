@@ -58,21 +58,21 @@ def converted(line: Beamline, reference: LatticeReference, settings: LatticeSett
         placed.append(PlacedPiece(piece, s, frame))
         s, frame = s + piece.length, exit_of(frame, piece)
     out = Converted(reference, placed, frame)
-    missing = [problem for one in placed for problem in _missing(one)]
+    missing = [problem for element in placed for problem in _missing(element)]
     if missing and not settings.drift_for_missing:
         others = f", and {len(missing) - 1} more" if len(missing) > 1 else ""
         raise InputError(
             f'{missing[0]}{others}; set missing = "drift" in [lattice] to leave out what has no counterpart'
         )
     names: set[str] = set()
-    for one in placed:
-        _convert(one, out, settings, names)
+    for element in placed:
+        _convert(element, out, settings, names)
     return out
 
 
-def _missing(one: PlacedPiece) -> list[str]:
-    piece = one.piece
-    where = f"{piece.name} at s = {one.s:.6g} m"
+def _missing(element: PlacedPiece) -> list[str]:
+    piece = element.piece
+    where = f"{piece.name} at s = {element.s:.6g} m"
     if piece.kind == "unknown":
         return [f"{where} is a {piece.called}, which has no counterpart"]
     return [f"{where} has {what}, which has no counterpart" for what in _lacking(piece)]
@@ -88,28 +88,28 @@ def _lacking(piece: LatticePiece) -> list[str]:
     return out
 
 
-def _convert(one: PlacedPiece, out: Converted, settings: LatticeSettings, names: set[str]) -> None:
-    piece = one.piece
-    frame = middle(one.entry, piece)
+def _convert(element: PlacedPiece, out: Converted, settings: LatticeSettings, names: set[str]) -> None:
+    piece = element.piece
+    frame = middle(element.entry, piece)
     makes = {"magnet": _magnet, "bend": _bend, "solenoid": _solenoid, "cavity": _cavity}
     if piece.kind in makes:
         length = chord(piece) or (GAP if piece.kind == "cavity" else settings.thin)
-        section = makes[piece.kind](piece, length, out.reference, one)
+        section = makes[piece.kind](piece, length, out.reference, element)
         if section is not None:
             out.elements.append(
                 {"name": piece.name, **_place(frame), "length": length, "reach": settings.reach, **section}
             )
-            one.became.append(section["kind"])
+            element.became.append(section["kind"])
     for what in _lacking(piece):
-        one.became.append(f"without {what}")
+        element.became.append(f"without {what}")
     if piece.hole is not None:
-        out.apertures.append(_aperture(one, piece.hole, settings, names))
-        one.became.append(f"{piece.hole.shape} aperture")
+        out.apertures.append(_aperture(element, piece.hole, settings, names))
+        element.became.append(f"{piece.hole.shape} aperture")
     if piece.monitor:
         out.screens.append({"name": _word(piece.name, names), **_place(frame), "reach": settings.reach})
-        one.became.append("screen")
-    if not one.became:
-        one.became.append("drift" if piece.length else "–")
+        element.became.append("screen")
+    if not element.became:
+        element.became.append("drift" if piece.length else "–")
 
 
 def _place(frame: OrbitFrame) -> Section:
@@ -153,12 +153,12 @@ def _solenoid(piece: LatticePiece, _: float, reference: LatticeReference, __: Pl
     return {"kind": "solenoid", "field": piece.solenoid * reference.rigidity} if piece.solenoid else None
 
 
-def _cavity(piece: LatticePiece, length: float, reference: LatticeReference, one: PlacedPiece) -> Section | None:
+def _cavity(piece: LatticePiece, length: float, reference: LatticeReference, element: PlacedPiece) -> Section | None:
     """A gap in which the reference particle, which keeps its speed, gains the voltage at the crest, in its phase."""
     if piece.voltage == 0:
         return None
     omega = 2 * math.pi * piece.frequency
-    arrival = (one.s + piece.length / 2) / reference.speed
+    arrival = (element.s + piece.length / 2) / reference.speed
     phase = (piece.phase - omega * arrival) % (2 * math.pi)
     section = {"kind": "rf-gap", "voltage": piece.voltage / _transit(omega * length / (2 * reference.speed))}
     return section | ({"frequency": piece.frequency, "phase": phase} if omega else {})
@@ -171,9 +171,13 @@ def _transit(half: float) -> float:
     return float(profile @ np.cos(half * u) / profile.sum())
 
 
-def _aperture(one: PlacedPiece, hole: Hole, settings: LatticeSettings, names: set[str]) -> Section:
-    piece = one.piece
-    frames = {"entrance": one.entry, "exit": exit_of(one.entry, piece), "everywhere": middle(one.entry, piece)}
+def _aperture(element: PlacedPiece, hole: Hole, settings: LatticeSettings, names: set[str]) -> Section:
+    piece = element.piece
+    frames = {
+        "entrance": element.entry,
+        "exit": exit_of(element.entry, piece),
+        "everywhere": middle(element.entry, piece),
+    }
     place = _place(frames[hole.at].moved(*hole.centre, 0.0))
     length = chord(piece) if hole.at == "everywhere" and piece.length else settings.thin
     widths = {"kind": hole.shape, "half_widths": list(hole.half_widths)}

@@ -169,9 +169,9 @@ class _File:
                 members = list(self.expanded(inner, backwards, depth + 1))
                 yield from reversed(members) if repeat < 0 else members
 
-    def require_known(self, name: str, keys: Definition, known: set[str]) -> None:
+    def require_known(self, name: str, keys: Definition, allowed: set[str]) -> None:
         for key in keys:
-            if key not in known and not isinstance(keys[key], Mapping):
+            if key not in allowed and not isinstance(keys[key], Mapping):
                 self.refuse(f"{name} has the unknown key {key!r}")
 
     # ---- the reference particle ----
@@ -236,12 +236,12 @@ class _Element:
         value = of.get(key, default)
         return default if value is None else self.file.number(value, f"{key} of {self.name}")
 
-    def group(self, name: str, known: set[str]) -> Definition:
+    def group(self, name: str, allowed: set[str]) -> Definition:
         of = self.of.get(name) or {}
         if not isinstance(of, Mapping):
             self.file.refuse(f"{name} of {self.name} has no keys")
         for key in of:
-            if key not in known:
+            if key not in allowed:
                 self.file.refuse(f"{name} of {self.name} has the unknown key {key!r}")
         return of
 
@@ -283,9 +283,9 @@ class _Element:
         return {"normal": strengths["n"], "skew": strengths["s"]}
 
     def bend(self, piece: LatticePiece) -> LatticePiece:
-        known = {"angle_ref", "bend_field_ref", "e1", "e2", "e1_rect", "e2_rect", "edge1_int", "edge2_int", "g_ref"}
-        known |= {"h1", "h2", "L_chord", "ref_coords", "ref_geometry", "rho_ref", "radius_ref", "tilt_ref"}
-        of = self.group("BendP", known | {"multipole_type"})
+        allowed = {"angle_ref", "bend_field_ref", "e1", "e2", "e1_rect", "e2_rect", "edge1_int", "edge2_int", "g_ref"}
+        allowed |= {"h1", "h2", "L_chord", "ref_coords", "ref_geometry", "rho_ref", "radius_ref", "tilt_ref"}
+        of = self.group("BendP", allowed | {"multipole_type"})
         geometry = str(of.get("ref_geometry", of.get("ref_coords", "arc"))).lower()
         if geometry not in ("arc", "chord"):
             self.file.refuse(f"{self.name} has the reference {geometry}, which is not understood; use arc or chord")
@@ -347,8 +347,8 @@ class _Element:
         return self.number("Ksol", of, 0.0)
 
     def cavity(self, piece: LatticePiece) -> LatticePiece:
-        known = {"frequency", "voltage", "gradient", "phase", "zero_phase", "cavity_type", "num_cells", "harmon"}
-        of = self.group("RFP", known | {"multipass_phase", "num_cells", "L_active"})
+        allowed = {"frequency", "voltage", "gradient", "phase", "zero_phase", "cavity_type", "num_cells", "harmon"}
+        of = self.group("RFP", allowed | {"multipass_phase", "num_cells", "L_active"})
         if of.get("harmon") or of.get("multipass_phase"):
             self.file.refuse(f"{self.name} has a harmonic number or a multipass phase; give its frequency and phase")
         if str(of.get("cavity_type", "STANDING_WAVE")) != "STANDING_WAVE":

@@ -57,13 +57,8 @@ class CutArms:
         self, electrodes: Sequence[Conductor], boxes: ArrayLike, origin: ArrayLike, spacing: ArrayLike
     ) -> Walls:
         """Return where all cut arms meet metal; the other arguments are those that `arms_of_boxes` got."""
-        rows = np.reshape(np.asarray(boxes, np.int64), (-1, 6))
-        box = np.repeat(np.arange(len(rows)), np.diff(self.first_cut))
         cut, side = np.nonzero(self.electrode >= 0)
-        size = (rows[:, 3:] - rows[:, :3] + 1)[box[cut]]
-        row, i = np.divmod(self.cell[cut], size[:, 0])
-        k, j = np.divmod(row, size[:, 1])
-        index = np.stack([i, j, k], axis=1) + rows[box[cut], :3]
+        index = indices(boxes, self.cell, self.first_cut)[cut]
         lattice = Lattice.of(origin, spacing)
         place = np.stack([lattice.centre(axis, index[:, axis]) for axis in range(3)], axis=1)
         axis, way = side // 2, np.zeros_like(place)
@@ -85,6 +80,16 @@ class Walls(NamedTuple):
     cells: Ints  # (m, 3) index of the cell
     place: Floats  # (m, 3) m
     normal: Floats  # (m, 3) unit vector out of the metal
+
+
+def indices(boxes: ArrayLike, cell: Ints, first: Ints) -> Ints:
+    """Return the indices (n, 3) of cells, of which each box has those from `first` on, by their numbers in their boxes."""
+    rows = np.reshape(np.asarray(boxes, np.int64), (-1, 6))
+    box = np.repeat(np.arange(len(rows)), np.diff(first))
+    size = (rows[:, 3:] - rows[:, :3] + 1)[box]
+    row, i = np.divmod(cell, size[:, 0])
+    k, j = np.divmod(row, size[:, 1])
+    return np.asarray(np.stack([i, j, k], axis=1) + rows[box, :3])
 
 
 def cut_arms(

@@ -10,7 +10,7 @@ from .. import _native
 from ..errors import SolverError
 from ..mesh.domain import Domain
 from ..scene.electrodes import Electrode
-from .arms import Contact, arms_of_boxes, sentence
+from .arms import Contact, arms_of_boxes, indices, sentence
 
 Answer = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
@@ -21,36 +21,28 @@ class MetalOnMesh:
     def __init__(self, electrodes: Sequence[Electrode], domain: Domain, stretch: Sequence[float] = (1, 1, 1)) -> None:
         self._electrodes, self._domain, self._stretch = tuple(electrodes), domain, np.array(stretch, float)
         self._contacts: list[Contact] = []
-        self._answers: dict[tuple, Answer] = {}  # what was asked before: a level is asked for twice
 
     def native(self) -> _native.Metal:
         """Return what a native solver asks; it keeps this object alive."""
-        spacing = self._domain.spacing * self._stretch
-        return _native.Metal(len(self._electrodes), self._domain.cells, spacing.tolist(), self._ask)
+        return _native.Metal(len(self._electrodes), self._ask)
 
     def finish(self) -> None:
-        """Forget what was asked. Raise SolverError, if electrodes of different voltages touch where this rank has. Local."""
-        self._answers.clear()
+        """Raise SolverError, if electrodes of different voltages touch where this rank has asked. Local."""
         if self._contacts:
             raise SolverError(sentence(self._electrodes, self._contacts[0]))
 
-    def _ask(self, lower: Sequence[int], shape: Sequence[int], spacing: Sequence[float]) -> Answer:
+    def _ask(self, boxes: Sequence[Sequence[int]], spacing: Sequence[float]) -> Answer:
         """Return solid cells and their electrodes, cut cells, their arms and the electrodes that cut these."""
-        key = (*lower, *shape, *spacing)
-        if key not in self._answers:
-            last = np.add(lower, shape) - 1
-            arms, contacts = arms_of_boxes(
-                self._electrodes, [[*lower, *last]], self._domain.lower, np.divide(spacing, self._stretch)
-            )
-            self._contacts += contacts
-            self._answers[key] = (
-                np.asarray(arms.solid, np.int64),
-                np.asarray(arms.solid_electrode, np.int32),
-                np.asarray(arms.cell, np.int64),
-                np.ascontiguousarray(arms.theta, float),
-                np.ascontiguousarray(arms.electrode, np.int32),
-            )
-        return self._answers[key]
+        widths = np.divide(spacing, self._stretch)
+        arms, contacts = arms_of_boxes(self._electrodes, boxes, self._domain.lower, widths)
+        self._contacts += contacts
+        return (
+            indices(boxes, arms.solid, arms.first_solid),
+            np.asarray(arms.solid_electrode, np.int32),
+            indices(boxes, arms.cell, arms.first_cut),
+            np.ascontiguousarray(arms.theta, float),
+            np.ascontiguousarray(arms.electrode, np.int32),
+        )
 
 
 def image_refusal(electrodes: Sequence[Electrode], domain: Domain) -> str | None:

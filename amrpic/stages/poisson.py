@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import weakref
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, get_args
 
@@ -81,7 +83,7 @@ class PoissonSolver:
     into means, and φ holds means (`Field.holds`); E comes at points, or as means.
     With `screening` = κ it is −Δφ + κ²φ = ρ/ε₀, between faces none of which is open.
     With `electrodes` φ is their voltage on their surfaces, which cut the arms between centres of cells: of second order up to
-    them, with Gauss's law exact; they have to lie within one level, some cells away from others, and from open faces.
+    them, with Gauss's law exact; they may pass through faces between levels, but have to end a cell before open faces.
     With a `mirror` the walls across its axis are open for the equation: a solve gives φ of the charge and of the images that
     move as it does, φ₊, or with `image=True` that of those that move against it, φ₋.
 
@@ -130,6 +132,10 @@ class PoissonSolver:
         metal = MetalOnMesh(self.electrodes, hierarchy.domain, chosen.stretch) if self.electrodes else None
         self._unit_potentials: list[Field] | None = None  # of each electrode at 1 V, when they are first needed
         self._unit_walls: list[list[np.ndarray]] = []  # what walls, open ones too, hold then
+        self._units: list[
+            tuple[weakref.ref[Field], int]
+        ] = []  # such potentials that were handed out, and whose they are
+        self._potentials: list[float] = []  # of electrodes, V, as the native solver has them
         self._capacitance: np.ndarray | None = None
         of_bottom = chosen.bottom, chosen.bottom_preconditioner, chosen.stretch, chosen.screening
         across = None if mirror is None else mirror.axis
@@ -159,7 +165,7 @@ class PoissonSolver:
 
     def _require_arms_at_electrodes(self) -> None:
         """Refuse electrodes that no cell sees. Collective."""
-        self.native.set_potentials([1.0] * len(self.electrodes))
+        self._set_potentials([1.0] * len(self.electrodes))
         # with φ = 0 and ρ < 0 each arm that is cut and each cell in metal adds to the charge
         charges = self.native.charges(Field(self.hierarchy).native, Field(self.hierarchy).fill(-1.0).native)
         for electrode, charge in zip(self.electrodes, charges, strict=True):
@@ -167,6 +173,13 @@ class PoissonSolver:
                 raise SolverError(
                     f"electrode {electrode.name} meets no line between the centres of neighbouring cells, so that the solver "
                     "does not see it; refine the mesh there, move it into the domain, or leave it out"
+                )
+        nothing = Field(self.hierarchy).native
+        for electrode, charge in zip(self.electrodes, self.native.charges(nothing, nothing), strict=True):
+            if electrode.floats and charge == 0:
+                raise SolverError(
+                    f"electrode {electrode.name} floats where no cell outside metal lies beside it, so that nothing fixes its "
+                    "voltage; give it one, refine the mesh there, or leave it out"
                 )
 
     def solve(
@@ -213,7 +226,7 @@ class PoissonSolver:
             rho = self._in_means(rho)
         voltages = np.array([self._voltage(electrode, time, last) for electrode in self.electrodes])
         if self.electrodes:
-            self.native.set_potentials(voltages.tolist())
+            self._set_potentials(voltages.tolist())
         try:
             report = self.native.solve(rho.native, phi.native, guess is None, _known(last), deposited, image)
         except _native.SolverError as refused:
@@ -249,19 +262,25 @@ class PoissonSolver:
         if not self.electrodes:
             raise SolverError("a capacitance is asked of a solver without electrodes; give it some")
         if self._capacitance is None:
-            self._set_walls(None, None)
-            nothing = Field(self.hierarchy)
-            potentials, charges, walls = [], [], []
-            for unit in np.eye(len(self.electrodes)):
-                phi = Field(self.hierarchy)
-                phi.unit = "V"
-                self.native.set_potentials(unit.tolist())
-                self.native.solve(nothing.native, phi.native, True, _native.MeshError(), 0.0, False)
-                potentials.append(phi)
-                charges.append(self.native.charges(phi.native, nothing.native))
-                walls.append(self._wall_data())
-            self._unit_potentials, self._unit_walls, self._capacitance = potentials, walls, np.array(charges).T
+            with self._restored():
+                self._set_walls(None, None)
+                self._solve_units()
+        assert self._capacitance is not None
         return self._capacitance.copy()
+
+    def _solve_units(self) -> None:
+        """Solve for each electrode at 1 V, and all else at zero. Collective."""
+        nothing = Field(self.hierarchy)
+        potentials, charges, walls = [], [], []
+        for unit in np.eye(len(self.electrodes)):
+            phi = Field(self.hierarchy)
+            phi.unit = "V"
+            self._set_potentials(unit.tolist())
+            self.native.solve(nothing.native, phi.native, True, _native.MeshError(), 0.0, False)
+            potentials.append(phi)
+            charges.append(self.native.charges(phi.native, nothing.native))
+            walls.append(self._wall_data())
+        self._unit_potentials, self._unit_walls, self._capacitance = potentials, walls, np.array(charges).T
 
     def unit_potential(self, name: str) -> Field:
         """Return φ with one electrode at 1 V, and all other electrodes and walls at zero: of all voltages the potential is
@@ -271,14 +290,17 @@ class PoissonSolver:
         names = [electrode.name for electrode in self.electrodes]
         if name not in names:
             raise SolverError(f"there is no electrode {name!r}; there are {', '.join(names)}")
-        return self._unit_potentials[names.index(name)].copy()
+        out = self._unit_potentials[names.index(name)].copy()
+        self._units = [known for known in self._units if known[0]() is not None]
+        self._units.append((weakref.ref(out), names.index(name)))
+        return out
 
     def _with_electrodes(self, phi: Field, rho: Field, report: SolveReport, voltages: np.ndarray) -> SolveReport:
         """Let electrodes float to their charges; return the report with charges and voltages. Collective."""
         charges = np.array(self.native.charges(phi.native, rho.native))
         floating = [n for n, electrode in enumerate(self.electrodes) if electrode.floats]
         if floating:
-            walls, faces = self._walls, self._wall_data()
+            faces = self._wall_data()
             capacitance = self.capacitance()
             wanted = np.array([electrode.charge for electrode in self.electrodes if electrode.floats], float)
             rise = np.linalg.solve(capacitance[np.ix_(floating, floating)], wanted - charges[floating])
@@ -289,10 +311,8 @@ class PoissonSolver:
                     faces[level] += volts * self._unit_walls[n][level]
             voltages[floating] += rise
             charges += capacitance[:, floating] @ rise
-            self._walls = walls
-            for level, data in enumerate(faces):
-                self.native.wall_data(level)[...] = data
-            self.native.set_potentials(voltages.tolist())
+            self._set_wall_data(faces)
+            self._set_potentials(voltages.tolist())
         names = [electrode.name for electrode in self.electrodes]
         return replace(
             report,
@@ -303,6 +323,37 @@ class PoissonSolver:
     def _wall_data(self) -> list[np.ndarray]:
         """Return what the walls of this rank hold, per level."""
         return [self.native.wall_data(level).copy() for level in range(self.hierarchy.levels)]
+
+    def _set_wall_data(self, faces: Sequence[np.ndarray]) -> None:
+        for level, data in enumerate(faces):
+            self.native.wall_data(level)[...] = data
+
+    def _set_potentials(self, potentials: list[float]) -> None:
+        self._potentials = potentials
+        self.native.set_potentials(potentials)
+
+    @contextmanager
+    def _restored(self) -> Iterator[None]:
+        """Let walls and electrodes hold afterwards what they hold now."""
+        walls, faces, potentials = self._walls, self._wall_data(), self._potentials
+        try:
+            yield
+        finally:
+            self._walls = walls
+            self._set_wall_data(faces)
+            self._set_potentials(potentials)
+
+    @contextmanager
+    def _surfaces_of(self, phi: Field) -> Iterator[None]:
+        """Let walls and electrodes hold what they do in a potential: of one electrode at 1 V, else of the latest solve."""
+        number = next((n for known, n in self._units if known() is phi), None)
+        if number is None:
+            yield
+            return
+        with self._restored():
+            self._set_wall_data(self._unit_walls[number])
+            self._set_potentials(np.eye(len(self.electrodes))[number].tolist())
+            yield
 
     @property
     def base_setup(self) -> BaseSetup:
@@ -316,8 +367,9 @@ class PoissonSolver:
 
         In fourth order from means over the faces; there `holds="means"` gives means over the cells.
 
-        Walls count with the data of the latest solve. In cells that a finer level covers stands the mean of the children, or,
-        for `covered="difference"`, the central difference of the mean potentials, as matched clouds need it (see `Clouds`).
+        Walls and electrodes count with the data of the latest solve, or of a `unit_potential` that is asked for. In cells that
+        a finer level covers stands the mean of the children, or, for `covered="difference"`, the central difference of the
+        mean potentials, as matched clouds need it (see `Clouds`).
         """
         _one_of("holds", holds, get_args(Holds))
         if holds == "means" and self.options.order != 4:
@@ -347,7 +399,8 @@ class PoissonSolver:
             phi = self._in_means(phi)
             native = self.native.electric_field_as(phi.native, of_covered, getattr(_native.Holds, holds))
         else:
-            native = self.native.electric_field(phi.native, of_covered)
+            with self._surfaces_of(phi):
+                native = self.native.electric_field(phi.native, of_covered)
         return VectorField.deferred(native, self.hierarchy, "V/m")
 
     def operators(self, level: int) -> LevelOperators:

@@ -118,42 +118,38 @@ void bind_solver(nb::module_& m) {
       .def_ro("seconds", &SolveReport::seconds);
 
   nb::class_<Reusable>(m, "Reusable").def(nb::init<>());
-  using Cells = nb::ndarray<std::int64_t const, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+  using Cells = nb::ndarray<std::int64_t const, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu>;
   using Owners = nb::ndarray<std::int32_t const, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
   using Arms = nb::ndarray<Real const, nb::shape<-1, 6>, nb::c_contig, nb::device::cpu>;
   using Surfaces = nb::ndarray<std::int32_t const, nb::shape<-1, 6>, nb::c_contig, nb::device::cpu>;
   nb::class_<Metal>(m, "Metal")
       .def(
           "__init__",
-          [](Metal* self, int electrodes, std::array<int, 3> const& cells, std::array<Real, 3> const& spacing,
-             nb::callable ask) {
-            // ask(lower, shape, spacing): solid cells and their electrodes, cut cells, their arms and electrodes
-            Index3 const base{cells[0], cells[1], cells[2]};
-            Real3 const widths{spacing[0], spacing[1], spacing[2]};
-            new (self) Metal(electrodes, base, widths, [ask](Box const& region, Real3 const& spacing) {
+          [](Metal* self, int electrodes, nb::callable ask) {
+            // ask(boxes, spacing): solid cells and their electrodes, cut cells, their arms and electrodes
+            new (self) Metal(electrodes, [ask](std::vector<Box> const& boxes, Real3 const& spacing) {
               nb::gil_scoped_acquire held;
-              std::array<int, 3> const lower{region.lower[0], region.lower[1], region.lower[2]};
-              std::array<int, 3> const shape{region.extent(0), region.extent(1), region.extent(2)};
+              std::vector<std::array<int, 6>> corners;
+              for (auto const& [lower, upper] : boxes)
+                corners.push_back({lower[0], lower[1], lower[2], upper[0], upper[1], upper[2]});
               auto const [solid, owner, cut, arm, electrode] =
                   nb::cast<std::tuple<Cells, Owners, Cells, Arms, Surfaces>>(
-                      ask(lower, shape, std::array<Real, 3>{spacing[0], spacing[1], spacing[2]}));
-              auto const cell = [&](std::int64_t at) {
-                return Index3{lower[0] + int(at % shape[0]), lower[1] + int(at / shape[0] % shape[1]),
-                              lower[2] + int(at / shape[0] / shape[1])};
+                      ask(corners, std::array<Real, 3>{spacing[0], spacing[1], spacing[2]}));
+              auto const cell = [](Cells const& of, std::size_t n) {
+                return Index3{int(of(n, 0)), int(of(n, 1)), int(of(n, 2))};
               };
-              std::vector<SolidCell> solids;
-              for (std::size_t n = 0; n < solid.shape(0); ++n) solids.push_back({cell(solid(n)), owner(n)});
-              std::vector<CutCell> cuts;
+              std::pair<std::vector<CutCell>, std::vector<SolidCell>> out;
+              for (std::size_t n = 0; n < solid.shape(0); ++n) out.second.push_back({cell(solid, n), owner(n)});
               for (std::size_t n = 0; n < cut.shape(0); ++n) {
-                CutCell& to = cuts.emplace_back();
-                to.cell = cell(cut(n));
+                CutCell& to = out.first.emplace_back();
+                to.cell = cell(cut, n);
                 for (std::size_t side = 0; side < 6; ++side)
                   to.arm[side] = arm(n, side), to.electrode[side] = electrode(n, side);
               }
-              return MetalCells(std::move(cuts), std::move(solids));
+              return out;
             });
           },
-          "electrodes"_a, "cells"_a, "spacing"_a, "ask"_a);
+          "electrodes"_a, "ask"_a);
   nb::class_<PoissonSolver>(m, "PoissonSolver")
       .def(
           "__init__",

@@ -31,9 +31,12 @@ class CoarseFluxes {
   void for_each_refined_side(int l, int b, F&& f) const {
     for (int s = mesh_.plan(l, b).refined.first; s < mesh_.plan(l, b).refined.last; ++s) {
       RefinedSide const& r = mesh_.plan(l).refined[std::size_t(s)];
-      f(r,
-        (r.fluxes.here ? of_level_[std::size_t(l) + 1].data() : mesh_.plan(l).finer_fluxes.values()) + r.fluxes.from);
+      f(r, of(l, r));
     }
+  }
+  /// Those through a side of a box of a level.
+  Real const* of(int l, RefinedSide const& r) const {
+    return (r.fluxes.here ? of_level_[std::size_t(l) + 1].data() : mesh_.plan(l).finer_fluxes.values()) + r.fluxes.from;
   }
   /// Call f(side, first cell, count, fluxes, how far apart these are) for the rows of cells on such sides, side by
   /// side, in planes `first` to `last` of a box.

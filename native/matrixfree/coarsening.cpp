@@ -19,9 +19,10 @@ Coarsening::Coarsening(Communicator const& comm, SweptLevel& fine, SweptLevel& c
       in_place_(pair.parents_in_place && !fine.layout().has_seam() && !coarse.layout().has_seam()) {
   lay_out_coarse_patches(comm, ghosts, pair.most_direct, pair.known);
   if (coarse.level().ranks() == 1 && fine.level().ranks() > 1) plan_gathering();
-  if (refines_)
-    interface_ = InterfaceCells(fine.level(), coarse.level(), pair.finer, fine.layout(), fine.faces(), coarse_patches_,
-                                fine.stencil().weight(), coarse.stencil().weight(), pair.gap_fits);
+  if (!refines_) return;
+  interface_ = InterfaceCells(fine.level(), coarse.level(), pair.finer, fine.layout(), fine.faces(), coarse_patches_,
+                              fine.stencil(), coarse.stencil().weight(), pair.gap_fits,
+                              {pair.metal, pair.coarsest, coarse.equation()});
 }
 
 /// Lay out the parents of own blocks with their ghost cells, and plan how their values come.

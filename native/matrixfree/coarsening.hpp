@@ -32,7 +32,9 @@ class Coarsening {
     Level const* finer = nullptr;                 ///< the level after the finer one
     std::shared_ptr<GapFits> gap_fits = nullptr;  ///< to take fits in gaps from and put them in; if `refines`
     int most_direct = most_direct_readers;        ///< of its parents
-    KnownReads* known = nullptr;  ///< what is known of those that read parents, and is added to; else none
+    KnownReads* known = nullptr;      ///< what is known of those that read parents, and is added to; else none
+    Metal const* metal = nullptr;     ///< null if there is none
+    Level const* coarsest = nullptr;  ///< the level before the coarser one, if that refines it
   };
   /// Collective.
   Coarsening(Communicator const& comm, SweptLevel& fine, SweptLevel& coarse, Index3 const& ratio, Pair const& pair,

@@ -63,6 +63,8 @@ class CompositeLaplacian {
   Real residual_of_zero(Source const& source, Norm norm, std::vector<Real> const& scale, Blocks<T> const& residual) {
     return residual_->residual_of_zero(source, norm, scale, residual);
   }
+  /// Whether that is all that data make of a residual: not where potentials of electrodes are in ghosts.
+  bool has_residual_of_zero() const { return !mesh_.has_metal_faces(); }
 
   /// Norm of f less what the wall data add to the Laplacian. Collective.
   Real right_hand_side_norm(Source const& source, Norm norm) { return residual_->right_hand_side_norm(source, norm); }
@@ -76,13 +78,13 @@ class CompositeLaplacian {
   /// Set phi to the potential of electrodes in their cells, coarse ones to the mean of their children. Collective.
   void fill_metal(std::vector<Real> const& potentials, Field& phi) {
     if (!mesh_.metal()) return;
-    for (int l = 0; l < mesh_.levels(); ++l) {
-      Level const& level = mesh_.level(l);
-      for (SolidCell const& solid : mesh_.metal(l).solid())
-        if (int const b = level.find(solid.cell); b >= 0 && level.owner(b) == level.rank())
-          phi.level(l)[std::size_t(level.local_offset(b) + level.box(b).offset(solid.cell))] =
-              potentials[std::size_t(solid.electrode)];
-    }
+    mesh_.for_each_box([&](int l, int b) {
+      Real* plane = phi.level(l).data() + mesh_.offset(l, b);
+      for (int k = 0; k < mesh_.box(l, b).extent(2); ++k, plane += mesh_.box(l, b).stride(2))
+        mesh_.for_each_in_metal(
+            l, b, k, [](CompositeMesh::CutHere const&) {},
+            [&](std::ptrdiff_t at, int electrode) { plane[at] = potentials[std::size_t(electrode)]; });
+    });
     average_down(phi);
   }
   /// Call f(electrode, charge in C) for what a density holds in the uncovered cells of metal on this rank. Local.
@@ -90,19 +92,20 @@ class CompositeLaplacian {
   void for_each_charge_within(Field const& rho, F&& f) {
     mesh_.for_each_box([&](int l, int b) {
       Box const& own = mesh_.box(l, b);
-      for_each_row(own, [&](Index3 const& first) {
-        mesh_.metal(l).for_each_solid(first, own.extent(0), [&](SolidCell const& solid) {
-          if (!mesh_.is_covered(l, b, solid.cell))
-            f(solid.electrode,
-              mesh_.volume(l) * rho.level(l)[std::size_t(mesh_.offset(l, b) + own.offset(solid.cell))]);
-        });
-      });
+      Real const* plane = rho.level(l).data() + mesh_.offset(l, b);
+      for (int k = 0; k < own.extent(2); ++k, plane += own.stride(2))
+        mesh_.for_each_in_metal(
+            l, b, k, [](CompositeMesh::CutHere const&) {},
+            [&](std::ptrdiff_t at, int electrode) {
+              Index3 const cell{own.lower[0] + int(at % own.extent(0)), own.lower[1] + int(at / own.extent(0)),
+                                own.lower[2] + k};
+              if (!mesh_.is_covered(l, b, cell)) f(electrode, mesh_.volume(l) * plane[at]);
+            });
     });
   }
   /// See CompositeResidual. Collective.
-  void for_each_charge(Field const& phi, std::vector<Walls> const& walls, std::vector<Real> const& potentials,
-                       CompositeResidual::OfCharge const& f) {
-    residual_->for_each_charge(phi, walls, potentials, f);
+  void for_each_charge(Source const& source, Field const& phi, CompositeResidual::OfCharge const& f) {
+    residual_->for_each_charge(source, phi, f);
   }
 
   /// Norm of the largest single term of the Laplacian, the diagonal one: what rounding is relative to. Collective.

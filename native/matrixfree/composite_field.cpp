@@ -147,7 +147,7 @@ ElectricField CompositeField::electric_field(std::shared_ptr<Field const> potent
       send_means(l, means[std::size_t(l)].data());  // under way while the next level is visited
     }
   };
-  ghosts_.visit(phi, walls, averages ? FullyCovered::skip : FullyCovered::visit, set_box, finish_level);
+  ghosts_.visit(phi, walls, {}, averages ? FullyCovered::skip : FullyCovered::visit, set_box, finish_level);
   mesh_.transfer().settle();
   return out;
 }
@@ -184,7 +184,7 @@ void CompositeField::continue_into_metal(int l, std::array<std::shared_ptr<Field
   MetalCells const& metal = mesh_.metal(l);
   around_.resize(std::size_t(mesh_.levels()));
   auto& regions = around_[std::size_t(l)];
-  auto const near = [](Box const& box) { return box.grow(CompositeMesh::metal_reach); };
+  auto const near = [](Box const& box) { return box.grow(Metal::reach); };
   if (!regions)
     regions = std::make_unique<BoxRegions>(mesh_.comm(), level, level, near, [&](int b) { return near(level.box(b)); });
   std::array<std::vector<Real>, 3> halo;
@@ -251,7 +251,7 @@ ElectricField CompositeField::beside_metal(Field const& phi, std::vector<Walls> 
                                            CompositeAverage& average) {
   std::array<std::shared_ptr<Field>, 3> e;
   for (auto& component : e) component = std::make_shared<Field>(phi.share_hierarchy(), false);
-  ghosts_.visit(phi, walls, FullyCovered::visit, [&](int l, int b) {
+  ghosts_.visit(phi, walls, potentials, FullyCovered::visit, [&](int l, int b) {
     std::ptrdiff_t const plane = mesh_.box(l, b).stride(2);
     for (int k = 0; k < mesh_.box(l, b).extent(2); ++k) {
       std::array<Real*, 3> at;
@@ -259,7 +259,8 @@ ElectricField CompositeField::beside_metal(Field const& phi, std::vector<Walls> 
       field_plane(l, b, k, Where::everywhere, phi, at);
       mesh_.for_each_in_metal(
           l, b, k,
-          [&](CutCell const& cut, CutRow const& row, std::ptrdiff_t place) {
+          [&](CompositeMesh::CutHere const& here) {
+            auto const& [cut, row, place, inside] = here;
             for (std::size_t d = 0; d < 3; ++d) {
               if (row.surface[2 * d] == 0 && row.surface[2 * d + 1] == 0) continue;
               auto const line = ghosts_.line_through(l, b, cut, row, int(d), phi, walls, potentials);

@@ -11,8 +11,9 @@ CompositeGhosts::CompositeGhosts(CompositeMesh& mesh) : mesh_(mesh), fluxes_(mes
   star_.resize(2 * row);
 }
 
-void CompositeGhosts::visit(Field const& phi, std::vector<Walls> const& walls, FullyCovered fully_covered,
-                            std::function<void(int, int)> const& f, std::function<void(int)> const& done) {
+void CompositeGhosts::visit(Field const& phi, std::vector<Walls> const& walls, std::vector<Real> const& potentials,
+                            FullyCovered fully_covered, std::function<void(int, int)> const& f,
+                            std::function<void(int)> const& done) {
   mesh_.plan().cells.start([&](int purpose, Read const& read, Real* out) {
     mesh_.pack_cells(phi, CompositePlan::level_of(purpose), read, out);
   });
@@ -22,7 +23,7 @@ void CompositeGhosts::visit(Field const& phi, std::vector<Walls> const& walls, F
         if (mesh_.hierarchy().has_finer(l)) fluxes_.finish(l);
       },
       [&](int l, int b) {
-        fill(l, b, phi, walls[std::size_t(l)]);
+        fill(l, b, phi, walls[std::size_t(l)], potentials);
         f(l, b);
       },
       [&](int l) {
@@ -32,7 +33,7 @@ void CompositeGhosts::visit(Field const& phi, std::vector<Walls> const& walls, F
   fluxes_.settle();
 }
 
-void CompositeGhosts::fill(int l, int b, Field const& phi, Walls const& walls) {
+void CompositeGhosts::fill(int l, int b, Field const& phi, Walls const& walls, std::vector<Real> const& potentials) {
   for (int axis = 0; axis < 3; ++axis)
     for (int side = 0; side < 2; ++side) {
       int const f = 2 * axis + side;
@@ -44,7 +45,9 @@ void CompositeGhosts::fill(int l, int b, Field const& phi, Walls const& walls) {
       }
       for (int r = face.neighbours.first; r < face.neighbours.last; ++r)
         mesh_.plan(l).neighbours[r].copy(phi.level(l).data(), mesh_.plan().cells.values(), ghosts_[f].data(), pitch);
-      if (face.interface >= 0) fill_interface(l, b, axis, side, phi);
+      if (face.interface < 0) continue;
+      fill_interface(l, b, axis, side, phi);
+      if (!mesh_.metal_faces(l, face.interface).empty()) fill_beside_metal(l, b, axis, side, phi, potentials);
     }
 }
 
@@ -118,6 +121,37 @@ void CompositeGhosts::fill_interface(int l, int b, int axis, int side, Field con
   }
 }
 
+/// The same for the faces that metal makes others, from the coarse values of the interface under way.
+void CompositeGhosts::fill_beside_metal(int l, int b, int axis, int side, Field const& phi,
+                                        std::vector<Real> const& potentials) {
+  int const f = 2 * axis + side, number = mesh_.plan(l, b).faces[f].interface;
+  Interface const& i = mesh_.plan(l).interfaces[std::size_t(number)];
+  Box const& own = mesh_.box(l, b);
+  auto const [u, v] = tangential_axes(axis);
+  std::ptrdiff_t const coarse_pitch = i.nu + 2 * i.margin, inward = side == 0 ? own.stride(axis) : -own.stride(axis);
+  Real const* const cells = phi.level(l).data() + mesh_.offset(l, b);
+  Index3 const behind = own.coarsen(refinement_ratio).layer(axis, side, 1).lower;
+  for (MetalFace const& face : mesh_.metal_faces(l, number)) {
+    int const x = face.at.coarse[u] - behind[u] - i.u, y = face.at.coarse[v] - behind[v] - i.v;
+    Real const* const coarse = coarse_.data() + i.margin + x + (i.margin + y) * coarse_pitch;
+    FourStars<Real> stars{};
+    for (auto const& term : face.cells) add_to_stars(stars, term.weight, coarse[term.i + term.j * coarse_pitch]);
+    for (auto const& term : face.surfaces) add_to_stars(stars, term.weight, potentials[std::size_t(term.electrode)]);
+    Real sum = 0;
+    for (std::size_t half = 0; half < 2; ++half)
+      for (std::size_t a = 0; a < 2; ++a) {
+        if (!face.linked[half][a]) continue;
+        Index3 const at = face.at.fine(int(a), int(half));
+        Real const* const p = cells + own.offset(at);
+        Real const ghost =
+            face.star(a, half) * stars[half][a] + face.first(a, half) * p[0] + face.second(a, half) * p[inward];
+        ghosts_[f][std::size_t(at[u] - own.lower[u] + std::ptrdiff_t(own.extent(u)) * (at[v] - own.lower[v]))] = ghost;
+        sum += p[0] - ghost;
+      }
+    fluxes_.row(l, i, y)[x] = face.links > 0 ? face.of_links() * sum : 0;
+  }
+}
+
 /// phi* of the ghosts in gaps in front of a row of coarse cells from `cell` on, by the row's fits in gaps, of which the
 /// first is at `in_gap`; the first one of the next row.
 GapFit const* const* CompositeGhosts::fit_in_gaps(GapFit const* const* in_gap, FitNumber const* fits, int count, int u,
@@ -155,12 +189,23 @@ std::size_t CompositeGhosts::bytes() const {
 /// The value of phi beyond a side of a cell of the box under way.
 Real CompositeGhosts::value_beyond(int l, int b, Index3 const& cell, int side, Real const* cells) const {
   Box const& own = mesh_.box(l, b);
+  if (auto const difference = difference_beyond(l, b, cell, side)) return cells[own.offset(cell)] + *difference;
   int const axis = side / 2, outward = side % 2 == 0 ? -1 : 1;
   Index3 at = cell;
   at[axis] += outward;
   if (own.contains(at)) return cells[own.offset(at)];
   auto const [u, v] = tangential_axes(axis);
   return ghosts(axis, side % 2)[(at[u] - own.lower[u]) + std::ptrdiff_t(own.extent(u)) * (at[v] - own.lower[v])];
+}
+
+/// The difference of phi across a side by the finer fluxes; none where no finer cells lie beyond.
+std::optional<Real> CompositeGhosts::difference_beyond(int l, int b, Index3 const& cell, int side) const {
+  RefinedSide const* const r = mesh_.finer_beyond(l, cell, side);
+  if (!r) return {};
+  auto const [u, v] = tangential_axes(r->axis);
+  Index3 const& lower = mesh_.box(l, b).lower;
+  std::ptrdiff_t const at_u = cell[u] - lower[u] - r->cells.lower[u], at_v = cell[v] - lower[v] - r->cells.lower[v];
+  return fine_face_weight * fluxes_.of(l, *r)[at_u * r->fluxes.pu + at_v * r->fluxes.pv];
 }
 
 /// The datum of the wall beyond a side of a cell, which lies at one.

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <functional>
+#include <optional>
 
 #include "matrixfree/coarse_fluxes.hpp"
 #include "matrixfree/gap_window.hpp"
@@ -17,8 +18,10 @@ class CompositeGhosts {
 
   /// Call f(level, box) for all boxes of this rank, finest level first, with the ghosts of the box at hand and the
   /// fluxes from the finer level through its faces; and done(level) after all of a level. Collective.
-  void visit(Field const& phi, std::vector<Walls> const& walls, FullyCovered fully_covered,
-             std::function<void(int, int)> const& f, std::function<void(int)> const& done = nullptr);
+  /// `potentials`: of electrodes.
+  void visit(Field const& phi, std::vector<Walls> const& walls, std::vector<Real> const& potentials,
+             FullyCovered fully_covered, std::function<void(int, int)> const& f,
+             std::function<void(int)> const& done = nullptr);
 
   /// Those of the box under way beyond a face, the lower tangential axis fastest.
   Real const* ghosts(int axis, int side) const { return ghosts_[std::size_t(2 * axis + side)].data(); }
@@ -49,9 +52,10 @@ class CompositeGhosts {
     });
   }
 
-  // Of a cell of the box under way: what lies beyond a side; the datum of the wall there; and the values along an axis
-  // through a cut cell.
+  // Of a cell of the box under way: what lies beyond a side, before finer cells the value that gives their flux; the
+  // difference that this makes; the datum of a wall there; and the values along an axis through a cut cell.
   Real value_beyond(int l, int b, Index3 const& cell, int side, Real const* cells) const;
+  std::optional<Real> difference_beyond(int l, int b, Index3 const& cell, int side) const;
   Real wall_datum(int l, int b, Index3 const& cell, int side, std::vector<Walls> const& walls) const;
   ArmValues line_through(int l, int b, CutCell const& cut, CutRow const& row, int axis, Field const& phi,
                          std::vector<Walls> const& walls, std::vector<Real> const& potentials) const;
@@ -59,9 +63,10 @@ class CompositeGhosts {
   std::size_t bytes() const;
 
  private:
-  void fill(int l, int b, Field const& phi, Walls const& walls);
+  void fill(int l, int b, Field const& phi, Walls const& walls, std::vector<Real> const& potentials);
   void fill_wall(int l, int b, int axis, int side, Real const* phi, Real const* data);
   void fill_interface(int l, int b, int axis, int side, Field const& phi);
+  void fill_beside_metal(int l, int b, int axis, int side, Field const& phi, std::vector<Real> const& potentials);
   GapFit const* const* fit_in_gaps(GapFit const* const* in_gap, FitNumber const* fits, int count, int u, Index3 cell,
                                    Real* lower_row, Real* upper_row) const;
   void fill_windows(int l, Gaps const& gaps, Field const& phi);

@@ -2,14 +2,16 @@
 
 #include <algorithm>
 #include <array>
+#include <map>
 #include <memory>
+#include <utility>
 #include <vector>
 
 #include "base/communicator.hpp"
 #include "base/fetch.hpp"
 #include "matrixfree/composite_plan.hpp"
 #include "mesh/field.hpp"
-#include "mesh/metal.hpp"
+#include "mesh/metal_faces.hpp"
 #include "mesh/transfer.hpp"
 #include "operators/nearly_free.hpp"
 #include "stencil/background.hpp"
@@ -53,29 +55,45 @@ class CompositeMesh {
   Box const& box(int l, int b) const { return level(l).box(level(l).first_local_box() + b); }
   LocalIndex offset(int l, int b) const { return level(l).local_offset(level(l).first_local_box() + b); }
 
-  Metal const* metal() const { return metal_; }  ///< null if there is none anywhere
-  /// In the boxes of this rank, and so many cells around them.
-  static constexpr int metal_reach = 3;
-  MetalCells const& metal(int l) const { return metal_cells_[std::size_t(l)]; }
-  /// Call f(cut cell, its equation, place in the plane) for the cut cells in plane k of a box, and solid(place,
-  /// electrode) for those in metal.
+  Metal const* metal() const { return conductors_; }  ///< null if there is none anywhere
+  /// In the boxes of this rank, and so many cells around them as metal reaches.
+  MetalCells const& metal(int l) const { return metal_[std::size_t(l)].cells.cells; }
+  /// The faces of an interface of a level that metal makes other than the rest, and those of coarse cells of which it
+  /// takes a share.
+  std::vector<MetalFace> const& metal_faces(int l, int interface) const {
+    static std::vector<MetalFace> const none;
+    auto const& of_level = metal_[std::size_t(l)].faces;
+    return of_level.empty() ? none : of_level[std::size_t(interface)];
+  }
+  /// The refined side of its box at which a cell lies, by sides of the cell; of cut cells and such shares alone.
+  RefinedSide const* finer_beyond(int l, Index3 const& cell, int side) const;
+  std::vector<SharedFace> const& shared_faces(int l) const { return metal_[std::size_t(l)].cells.shared; }
+  bool has_metal_faces() const { return has_metal_faces_; }  ///< on any rank
+  /// A cut cell of a box: its equation, its place in its plane, and the sides, one bit each, beyond which a cell of the
+  /// box lies that no finer ones cover.
+  struct CutHere {
+    CutCell const& cell;
+    CutRow const& row;
+    std::ptrdiff_t place;
+    std::uint8_t inside;
+    bool is_inside(std::size_t side) const { return inside >> side & 1; }
+  };
+  /// Call f(cut cell here) for those in plane k of a box, and solid(place, electrode) for cells in metal.
   template <class F, class Solid>
   void for_each_in_metal(int l, int b, int k, F&& f, Solid&& solid) const {
-    MetalCells const& cells = metal(l);
-    if (cells.empty()) return;
-    Box const& own = box(l, b);
-    for (int j = 0; j < own.extent(1); ++j) {
-      Index3 const first{own.lower[0], own.lower[1] + j, own.lower[2] + k};
-      auto const place = [&](Index3 const& cell) { return cell[0] - first[0] + std::ptrdiff_t(j) * own.extent(0); };
-      cells.for_each_cut(first, own.extent(0), [&](CutCell const& cut) {
-        f(cut, cut_rows_[std::size_t(l)][std::size_t(&cut - cells.cut().data())], place(cut.cell));
-      });
-      cells.for_each_solid(first, own.extent(0), [&](SolidCell const& s) { solid(place(s.cell), s.electrode); });
+    OfLevel const& of = metal_[std::size_t(l)];
+    if (of.cells.cells.empty()) return;
+    Plane const &plane = of.planes[std::size_t(of.first_plane[std::size_t(b)] + k)], &next = (&plane)[1];
+    for (int n = plane.first_cut; n < next.first_cut; ++n) {
+      Placed const& at = of.cuts[std::size_t(n)];
+      f(CutHere{of.cells.cells.cut()[std::size_t(at.number)], of.rows[std::size_t(at.number)], at.place, at.inside});
     }
+    for (int n = plane.first_solid; n < next.first_solid; ++n)
+      solid(std::ptrdiff_t(of.solids[std::size_t(n)].place), of.solids[std::size_t(n)].number);
   }
   Equation equation(int l) const { return equation_on(level(l).spacing(), shift_); }
   bool is_nearly_free(int l) const {
-    return !metal_ && amrpic::is_nearly_free(level(l), hierarchy_->domain().boundary, shift_);
+    return !conductors_ && amrpic::is_nearly_free(level(l), hierarchy_->domain().boundary, shift_);
   }
   Real shift() const { return shift_; }
   Real volume(int l) const { return level(l).cell_volume() / (stretch_[0] * stretch_[1] * stretch_[2]); }
@@ -155,6 +173,9 @@ class CompositeMesh {
 
  private:
   void add_metal(int l);
+  void add_metal_faces(int l);
+  void add_refined_sides(int l);
+  void place_metal(int l);
   /// Not inlined, so that the loop's pointers and factor stay in registers.
   template <class T>
   [[gnu::noinline]] static void write_rows(Real const* __restrict from, int nx, int rows, Real scale, T* __restrict to,
@@ -171,9 +192,25 @@ class CompositeMesh {
   Real3 stretch_;
   CompositePlan plan_;
   Transfer transfer_;
-  Metal const* metal_;
-  std::vector<MetalCells> metal_cells_;        ///< of each level
-  std::vector<std::vector<CutRow>> cut_rows_;  ///< of its cut cells
+  Metal const* conductors_;
+  struct Placed {
+    std::int32_t place, number;  ///< in the plane; of the cut cell, or of the electrode
+    std::uint8_t inside = 0;     ///< see CutHere
+  };
+  struct Plane {
+    std::int32_t first_cut, first_solid;
+  };
+  struct OfLevel {
+    MetalOfLevel cells;
+    std::vector<std::int32_t> first_plane;  ///< of each box
+    std::vector<Plane> planes;              ///< box after box, and the end
+    std::vector<Placed> cuts, solids;
+    std::vector<CutRow> rows;                                     ///< of cut cells
+    std::vector<std::vector<MetalFace>> faces;                    ///< of each interface
+    std::map<std::pair<GlobalIndex, int>, std::int32_t> refined;  ///< of a cell's number in the domain, and its side
+  };
+  std::vector<OfLevel> metal_;
+  bool has_metal_faces_ = false;
   std::size_t largest_row_ = 0;
   std::array<std::size_t, 3> largest_face_{0, 0, 0};
 };

@@ -9,8 +9,10 @@ namespace {
 /// Makes the lists of one level of this rank.
 class LevelPlanner {
  public:
-  LevelPlanner(Hierarchy const& hierarchy, int l, RemoteReads const& cells, GapFits& gap_fits, LevelPlan& out)
+  LevelPlanner(Hierarchy const& hierarchy, int l, RemoteReads const& cells, GapFits& gap_fits, int margin,
+               LevelPlan& out)
       : l_(l),
+        margin_(margin),
         level_(hierarchy.level(l)),
         faces_(hierarchy.faces(l)),
         coarser_(l > 0 ? &hierarchy.level(l - 1) : nullptr),
@@ -73,6 +75,7 @@ class LevelPlanner {
     auto const [u, v] = tangential_axes(axis);
     Box const region = hull_of_fits(fits, [](FitNumber fit) { return fit != no_fit; });
     Interface out{};
+    out.margin = margin_;
     out.u = region.lower[u] - fits.box().lower[u], out.nu = region.extent(u);
     out.v = region.lower[v] - fits.box().lower[v], out.nv = region.extent(v);
     out.fits = std::int32_t(out_.fits.size());
@@ -155,7 +158,7 @@ class LevelPlanner {
     out_.refined.push_back({n.axis, n.side, counted_from_first(n.cells.part), fluxes});
   }
 
-  int l_;
+  int l_, margin_;
   Level const& level_;
   LevelFaces const& faces_;
   Level const* coarser_;
@@ -206,7 +209,7 @@ Rectangle WindowPart::across(int axis, Index3 const& origin) const {
           part.extent(u), part.extent(v)};
 }
 
-CompositePlan::CompositePlan(Hierarchy const& hierarchy) : levels(std::size_t(hierarchy.level_count())) {
+CompositePlan::CompositePlan(Hierarchy const& hierarchy, int margin) : levels(std::size_t(hierarchy.level_count())) {
   Communicator const& comm = hierarchy.comm();
   for (int l = 0; l < hierarchy.level_count(); ++l) {
     Level const& level = hierarchy.level(l);
@@ -225,7 +228,7 @@ CompositePlan::CompositePlan(Hierarchy const& hierarchy) : levels(std::size_t(hi
   }
   cells.plan(comm);
   for (int l = hierarchy.level_count() - 1; l >= 0; --l) {
-    LevelPlanner planner(hierarchy, l, cells, *gap_fits, levels[std::size_t(l)]);
+    LevelPlanner planner(hierarchy, l, cells, *gap_fits, margin, levels[std::size_t(l)]);
     planner.plan_faces();
     if (hierarchy.has_finer(l)) planner.plan_refinement(levels[std::size_t(l) + 1]);
   }

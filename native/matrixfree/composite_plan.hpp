@@ -112,7 +112,8 @@ struct LevelPlan {
 /// All that the composite Laplacian must know of a hierarchy besides the formulas: made of faces and rectangles, so
 /// that it costs far less than a pass over the cells.
 struct CompositePlan {
-  explicit CompositePlan(Hierarchy const& hierarchy);
+  /// `margin`: the least of interfaces, in coarse cells.
+  explicit CompositePlan(Hierarchy const& hierarchy, int margin = 0);
 
   std::vector<LevelPlan> levels;
   std::shared_ptr<GapFits> gap_fits = std::make_shared<GapFits>();  ///< of all levels

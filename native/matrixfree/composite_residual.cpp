@@ -12,6 +12,8 @@ namespace amrpic {
 
 namespace {
 
+constexpr Real short_arm = 1e-5;  ///< below which more digits are lost than a residual leaves
+
 /// Call f(place in the plane, u, v, extent along u) for the cells of plane k of a box that lie at one of its faces.
 template <class F>
 void for_each_on_face(Box const& box, int face, int k, F&& f) {
@@ -74,13 +76,17 @@ void SecondOrderResidual::residual_plane(int l, int b, int k, Source const& sour
 void SecondOrderResidual::residual_beside_metal(int l, int b, int k, Source const& source, Real const* cells) {
   std::ptrdiff_t const plane = mesh_.box(l, b).stride(2);
   Real const *const c = cells + k * plane, *const rho = source.rho.level(l).data() + mesh_.offset(l, b) + k * plane;
+  std::ptrdiff_t const pitch = mesh_.box(l, b).stride(1);
+  std::array<std::ptrdiff_t, 6> const step{-1, 1, -pitch, pitch, -plane, plane};
   mesh_.for_each_in_metal(
       l, b, k,
-      [&](CutCell const& cut, CutRow const& row, std::ptrdiff_t at) {
+      [&](CompositeMesh::CutHere const& here) {
+        auto const& [cut, row, at, inside] = here;
         Real sum = -row.diagonal * c[at];
         for (std::size_t side = 0; side < 6; ++side)
           if (row.neighbour[side] != 0)
-            sum += row.neighbour[side] * ghosts_.value_beyond(l, b, cut.cell, int(side), cells);
+            sum += row.neighbour[side] *
+                   (here.is_inside(side) ? c[at + step[side]] : ghosts_.value_beyond(l, b, cut.cell, int(side), cells));
         plane_[std::size_t(at)] =
             row.scale * source.background.right_hand_side(rho[at]) - sum - of_surfaces(l, b, cut, row, source);
       },
@@ -91,9 +97,9 @@ void SecondOrderResidual::right_hand_side_beside_metal(int l, int b, int k, Sour
   Real const* const rho = source.rho.level(l).data() + mesh_.offset(l, b) + k * mesh_.box(l, b).stride(2);
   mesh_.for_each_in_metal(
       l, b, k,
-      [&](CutCell const& cut, CutRow const& row, std::ptrdiff_t at) {
-        plane_[std::size_t(at)] =
-            row.scale * source.background.right_hand_side(rho[at]) - of_data(l, b, cut, row, source);
+      [&](CompositeMesh::CutHere const& here) {
+        plane_[std::size_t(here.place)] = here.row.scale * source.background.right_hand_side(rho[here.place]) -
+                                          of_data(l, b, here.cell, here.row, source);
       },
       [&](std::ptrdiff_t at, int) { plane_[std::size_t(at)] = 0; });
 }
@@ -153,27 +159,53 @@ void SecondOrderResidual::term_sizes_plane(int l, int b, int k, Source const& so
   mesh_.clear_covered(l, b, k, plane_.data());
 }
 
-void SecondOrderResidual::for_each_charge(Field const& phi, std::vector<Walls> const& walls,
-                                          std::vector<Real> const& potentials, OfCharge const& f) {
-  visit(phi, walls, [&](int l, int b) {
+/// Of phi across the sides of a cut cell, each outwards.
+std::array<Real, 6> SecondOrderResidual::differences(int l, int b, CutCell const& cut, CutRow const& row,
+                                                     Source const& source, Field const& phi) const {
+  std::array<Real, 6> out;
+  Real const* const cells = phi.level(l).data() + mesh_.offset(l, b);
+  Equation const equation = mesh_.equation(l);
+  std::size_t shortest = 0;
+  for (std::size_t side = 0; side < 6; ++side) {
+    auto const line = [&] {
+      return ghosts_.line_through(l, b, cut, row, int(side) / 2, phi, source.walls, source.potentials);
+    };
+    out[side] = row.surface[side] != 0
+                    ? line().across(int(side) % 2)
+                    : ghosts_.value_beyond(l, b, cut.cell, int(side), cells) - cells[mesh_.box(l, b).offset(cut.cell)];
+    if (cut.is_cut(side) && !(cut.is_cut(shortest) && cut.arm[shortest] <= cut.arm[side])) shortest = side;
+  }
+  if (!cut.is_cut(shortest) || cut.arm[shortest] > short_arm) return out;
+  std::size_t const place = std::size_t(mesh_.offset(l, b) + mesh_.box(l, b).offset(cut.cell));
+  Real left = source.background.right_hand_side(source.rho.level(l)[place]) + equation.shift * phi.level(l)[place];
+  for (std::size_t side = 0; side < 6; ++side)
+    if (side != shortest) left -= equation.weight[int(side) / 2] * out[side];
+  out[shortest] = left / equation.weight[int(shortest) / 2];
+  return out;
+}
+
+void SecondOrderResidual::for_each_charge(Source const& source, Field const& phi, OfCharge const& f) {
+  visit(phi, source.walls, source.potentials, [&](int l, int b) {
     Box const& own = mesh_.box(l, b);
     Equation const equation = mesh_.equation(l);
     auto const act = [&](CutCell const& cut, CutRow const& row) {
-      if (mesh_.is_covered(l, b, cut.cell)) return;
-      std::size_t const place = std::size_t(own.offset(cut.cell));
-      for (int axis = 0; axis < 3; ++axis) {
-        if (row.surface[2 * std::size_t(axis)] == 0 && row.surface[2 * std::size_t(axis) + 1] == 0) continue;
-        auto const line = ghosts_.line_through(l, b, cut, row, axis, phi, walls, potentials);
-        for (int side = 0; side < 2; ++side)
-          if (std::size_t const n = std::size_t(2 * axis + side); cut.is_cut(n) && row.surface[n] != 0)
-            f(l, std::size_t(mesh_.offset(l, b)) + place, cut.electrode[n],
-              vacuum_permittivity * mesh_.volume(l) * equation.weight[axis] * line.across(side));
-      }
+      if (!cut.is_cut() || mesh_.is_covered(l, b, cut.cell)) return;
+      std::size_t const place = std::size_t(mesh_.offset(l, b) + own.offset(cut.cell));
+      auto const across = differences(l, b, cut, row, source, phi);
+      for (std::size_t n = 0; n < 6; ++n)
+        if (cut.is_cut(n) && row.surface[n] != 0)
+          f(l, place, cut.electrode[n],
+            vacuum_permittivity * mesh_.volume(l) * equation.weight[int(n) / 2] * across[n]);
     };
     for (int k = 0; k < own.extent(2); ++k)
       mesh_.for_each_in_metal(
-          l, b, k, [&](CutCell const& cut, CutRow const& row, std::ptrdiff_t) { act(cut, row); },
-          [](std::ptrdiff_t, int) {});
+          l, b, k, [&](CompositeMesh::CutHere const& here) { act(here.cell, here.row); }, [](std::ptrdiff_t, int) {});
+    for (SharedFace const& face : mesh_.shared_faces(l)) {
+      if (!own.contains(face.cell) || mesh_.is_covered(l, b, face.cell)) continue;
+      if (auto const difference = ghosts_.difference_beyond(l, b, face.cell, int(face.side)))
+        f(l, std::size_t(mesh_.offset(l, b) + own.offset(face.cell)), face.electrode,
+          vacuum_permittivity * mesh_.volume(l) * equation.weight[int(face.side) / 2] * face.share * *difference);
+    }
   });
 }
 
@@ -239,8 +271,8 @@ void SecondOrderResidual::diagonal_plane(int l, int b, int k, Field const& phi) 
   }
   mesh_.for_each_in_metal(
       l, b, k,
-      [&](CutCell const&, CutRow const& row, std::ptrdiff_t at) {
-        plane_[std::size_t(at)] = -row.diagonal * cells[at];
+      [&](CompositeMesh::CutHere const& here) {
+        plane_[std::size_t(here.place)] = -here.row.diagonal * cells[here.place];
       },
       [&](std::ptrdiff_t at, int) { plane_[std::size_t(at)] = 0; });
   mesh_.clear_covered(l, b, k, plane_.data());
@@ -272,7 +304,7 @@ template <class T>
 Real CompositeResidual::residual(Source const& source, Field const& phi, Norm norm, std::vector<Real> const& scale,
                                  Blocks<T> const& residual) {
   Magnitude magnitude(norm);
-  visit(phi, source.walls, [&](int l, int b) {
+  visit(phi, source.walls, source.potentials, [&](int l, int b) {
     for (int k = 0; k < mesh_.box(l, b).extent(2); ++k) {
       residual_plane(l, b, k, source, phi);
       write_plane(l, b, k, scale, residual, magnitude);

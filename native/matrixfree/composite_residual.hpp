@@ -35,9 +35,10 @@ class CompositeResidual {
   Real diagonal_norm(Field const& phi, Norm norm);
 
   /// Call f(level, place, electrode, charge in C) for the arms of uncovered cells that metal cuts: what leaves its
-  /// surface through their faces. Collective.
+  /// surface through their faces. Across a very short one it is what the other faces and the charge of the cell leave
+  /// for it, as the difference of nearly equal potentials has no digits. Collective.
   using OfCharge = std::function<void(int, std::size_t, int, Real)>;
-  virtual void for_each_charge(Field const&, std::vector<Walls> const&, std::vector<Real> const&, OfCharge const&) {}
+  virtual void for_each_charge(Source const&, Field const&, OfCharge const&) {}
 
   std::size_t bytes() const { return plane_.capacity() * sizeof(Real); }
 
@@ -53,7 +54,8 @@ class CompositeResidual {
   virtual void diagonal_plane(int l, int b, int k, Field const& phi) = 0;
   /// Call f(level, box) for the boxes with uncovered cells, finest level first, with what `residual_plane` takes at
   /// hand. Collective.
-  virtual void visit(Field const& phi, std::vector<Walls> const& walls, std::function<void(int, int)> const& f) = 0;
+  virtual void visit(Field const& phi, std::vector<Walls> const& walls, std::vector<Real> const& potentials,
+                     std::function<void(int, int)> const& f) = 0;
 
   void source_plane(int l, int b, int k, Source const& source);
   void source_sizes_plane(int l, int b, int k, Source const& source);
@@ -81,10 +83,12 @@ class SecondOrderResidual : public CompositeResidual {
   void right_hand_side_plane(int l, int b, int k, Source const& source) override;
   void term_sizes_plane(int l, int b, int k, Source const& source) override;
   void diagonal_plane(int l, int b, int k, Field const& phi) override;
-  void for_each_charge(Field const& phi, std::vector<Walls> const& walls, std::vector<Real> const& potentials,
-                       OfCharge const& f) override;
-  void visit(Field const& phi, std::vector<Walls> const& walls, std::function<void(int, int)> const& f) override {
-    ghosts_.visit(phi, walls, FullyCovered::skip, f);
+  void for_each_charge(Source const& source, Field const& phi, OfCharge const& f) override;
+  std::array<Real, 6> differences(int l, int b, CutCell const& cut, CutRow const& row, Source const& source,
+                                  Field const& phi) const;
+  void visit(Field const& phi, std::vector<Walls> const& walls, std::vector<Real> const& potentials,
+             std::function<void(int, int)> const& f) override {
+    ghosts_.visit(phi, walls, potentials, FullyCovered::skip, f);
   }
   template <class F>
   void for_each_wall_term(int l, int b, int k, Source const& source, F&& f) const;

@@ -19,6 +19,7 @@ GhostRules ghost_rules_of(CycleLevels const& multigrid, OpenWalls const& open_wa
   out.walls = multigrid.walls[l];
   out.seam_width = seam_widths(multigrid.levels[l]->periodic(), multigrid.upper[l]);
   out.inside = [](Index3 const&, int, int) { return WallGhost{interface_ghost::first, interface_ghost::second, 0}; };
+  out.inside_beside_metal = WallGhost{linear_ghost::first, 0, 0};
   // Covered cells hold corrections of finer ones alone, and those vanish where the finest level's do.
   bool const fully_covered = l < multigrid.base;
   Level const* finer = l + 1 < multigrid.levels.size() ? multigrid.levels[l + 1].get() : nullptr;
@@ -105,6 +106,27 @@ Cycle::Cycle(Communicator const& comm, MultigridLevels multigrid, int max_grid_s
   OpenWalls const open_walls(levels());
   auto has_gaps = levels_with_gaps(comm, levels());
   has_gaps.resize(levels().count());
+  auto const is_refined = [&](std::size_t l) { return l > levels().base && l <= levels().finest(); };
+  /// The levels whose cells are a potential's, and finer than one.
+  auto const finer_than = [&](std::size_t l) {
+    std::size_t first = l;
+    while (levels().semicoarse(first)) first = levels().finer(first);
+    std::vector<Level const*> out;
+    for (std::size_t n = std::max(first == l ? l + 1 : first, levels().base); n <= levels().finest(); ++n)
+      out.push_back(levels().level(n).get());
+    return out;
+  };
+  auto const metal_in = [&](std::size_t l) -> SweptLevel::MetalIn {
+    if (!metal) return nullptr;
+    Level const& level = *levels().level(l);
+    auto const finer = finer_than(l);
+    if (levels().semicoarse(l) || l < levels().base)
+      return [metal, &level, finer](std::vector<Box> const& boxes) { return metal->cells(level, boxes, finer); };
+    Level const* const coarser = is_refined(l) ? levels().level(l - 1).get() : nullptr;
+    return [metal, &level, coarser, finer](std::vector<Box> const& boxes) {
+      return metal_of_level(*metal, level, coarser, finer, boxes, true).cells;
+    };
+  };
   auto const swept = [&](std::size_t l) {
     GhostRules const rules = ghost_rules_of(levels(), open_walls, l);
     Level const& level = *levels().level(l);
@@ -120,15 +142,21 @@ Cycle::Cycle(Communicator const& comm, MultigridLevels multigrid, int max_grid_s
     bool const thin = !is_semicoarse && !is_semicoarsened && !has_gaps[l] && has_thin_copies(level, rules);
     int const halo = thin ? 1 : std::max(deep, has_gaps[l] ? reach_in_gaps : 0);
     return std::make_unique<SweptLevel>(comm, levels().level(l), rules, levels().boundary, levels().shift, own, halo,
-                                        metal);
+                                        metal_in(l));
   };
   auto const passage = [&](std::size_t l, std::size_t c) {
     auto const* semicoarse = levels().semicoarse(c);
     Coarsening::Pair pair;
     if (!semicoarse)
-      pair = {
-          levels().refines(l), levels().parents_in_place[l] != 0, has_gaps[l] != 0, levels().beside(l).finer, gap_fits,
-          most_direct,         known ? &(*known)[l] : nullptr};
+      pair = {levels().refines(l),
+              levels().parents_in_place[l] != 0,
+              has_gaps[l] != 0,
+              levels().beside(l).finer,
+              gap_fits,
+              most_direct,
+              known ? &(*known)[l] : nullptr,
+              metal,
+              is_refined(c) ? levels().level(c - 1).get() : nullptr};
     return std::make_unique<Coarsening>(comm, this->swept(l), this->swept(c),
                                         semicoarse ? semicoarse->ratio : levels().ratio[l], pair,
                                         coarse_ghosts_of(levels(), open_walls, c));
@@ -140,7 +168,7 @@ Cycle::Cycle(Communicator const& comm, MultigridLevels multigrid, int max_grid_s
   GhostRules const rules = ghost_rules_of(levels(), open_walls, 0);
   Index3 const cells{box.extent(0), box.extent(1), box.extent(2)};
   WallGhosts const walls = walls_of_coarsest(levels(), rules);
-  auto const in_metal = metal ? metal->cells(coarsest, {box}) : MetalCells{};
+  auto const in_metal = metal ? metal->cells(coarsest, {box}, finer_than(0)) : MetalCells{};
   if (!in_metal.empty())
     direct_ = std::make_unique<DenseRows>(cells, equation, walls, coarsest.periodic(), rules.seam_width, in_metal);
   else

@@ -2,11 +2,9 @@
 
 #include <cmath>
 #include <stdexcept>
+#include <utility>
 
 extern "C" void dgetrf_(int const* rows, int const* columns, double* matrix, int const* leading, int* pivots,
-                        int* info);
-extern "C" void dgetrs_(char const* transposed, int const* n, int const* sides, double const* factors,
-                        int const* leading, int const* pivots, double* sides_and_solutions, int const* leading_of_sides,
                         int* info);
 extern "C" void dsyev_(char const* vectors, char const* triangle, int const* n, double* matrix, int const* leading,
                        double* eigenvalues, double* work, int const* size_of_work, int* info);
@@ -170,9 +168,19 @@ DenseRows::DenseRows(Index3 const& cells, Equation const& equation, WallGhosts c
 }
 
 void DenseRows::solve(std::vector<Real>& values) {
-  int const n = int(pivots_.size()), one = 1;
-  int info = 0;
-  dgetrs_("N", &n, &one, matrix_.data(), &n, pivots_.data(), values.data(), &n, &info);
+  // Not by the library, whose threads take longer to meet than the few sums.
+  std::size_t const n = pivots_.size();
+  Real* const x = values.data();
+  for (std::size_t i = 0; i < n; ++i) std::swap(x[i], x[pivots_[i] - 1]);
+  for (std::size_t j = 0; j < n; ++j) {
+    Real const* const column = &matrix_[n * j];
+    for (std::size_t i = j + 1; i < n; ++i) x[i] -= column[i] * x[j];
+  }
+  for (std::size_t j = n; j-- > 0;) {
+    Real const* const column = &matrix_[n * j];
+    x[j] /= column[j];
+    for (std::size_t i = 0; i < j; ++i) x[i] -= column[i] * x[j];
+  }
   for (std::size_t place : solid_) values[place] = 0;
 }
 

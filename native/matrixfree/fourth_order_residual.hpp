@@ -16,7 +16,8 @@ class FourthOrderResidual : public CompositeResidual {
   void term_sizes_plane(int l, int b, int k, Source const& source) override;
   /// Of the cells far from walls: those behind walls count no more than these.
   void diagonal_plane(int l, int b, int k, Field const& phi) override;
-  void visit(Field const& phi, std::vector<Walls> const& walls, std::function<void(int, int)> const& f) override {
+  void visit(Field const& phi, std::vector<Walls> const& walls, std::vector<Real> const&,
+             std::function<void(int, int)> const& f) override {
     ghosts_.visit(phi, &walls, FourthOrderGhosts::Ends::ghosts, FullyCovered::skip, f);
   }
 

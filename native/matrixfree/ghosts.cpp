@@ -55,7 +55,8 @@ Stencil::Stencil(Level const& level, Layout const& layout, LevelFaces const& fac
     std::array<std::array<std::vector<Ghost>, 2>, 3> all;
     for (int axis = 0; axis < 3; ++axis)
       for (int side = 0; side < 2; ++side)
-        all[axis][side] = ghosts(level, layout, rules, block, faces[b].sides[std::size_t(2 * axis + side)], axis, side);
+        all[axis][side] =
+            ghosts(level, layout, rules, metal, block, faces[b].sides[std::size_t(2 * axis + side)], axis, side);
     first_row_.push_back(std::int32_t(rows_.size()));
     first_composed_.push_back(std::int32_t(first_run_.size() - 1));
     add_rows(layout, b, all);
@@ -82,7 +83,8 @@ RowTable Stencil::table() const {
 
 /// The layer behind a face, cell by cell, the lower tangential axis fastest.
 std::vector<Ghost> Stencil::ghosts(Level const& level, Layout const& layout, GhostRules const& rules,
-                                   CellBlock const& block, Face const& face, int axis, int side) {
+                                   MetalCells const& metal, CellBlock const& block, Face const& face, int axis,
+                                   int side) {
   Box const& layer = face.layer;
   int const inward = side == 0 ? 1 : -1;
   bool const thick = block.box.extent(axis) > 1, ends = face.is_wall || face.has_coarser;
@@ -95,7 +97,11 @@ std::vector<Ghost> Stencil::ghosts(Level const& level, Layout const& layout, Gho
       if (row[i].source != nothing) continue;
       Index3 cell{first[0] + i, first[1], first[2]};
       cell[axis] += inward;
-      WallGhost const end = face.is_wall ? rules.walls[axis][side] : rules.inside(cell, axis, side);
+      WallGhost end = face.is_wall ? rules.walls[axis][side] : rules.inside(cell, axis, side);
+      if (!face.is_wall && rules.inside_beside_metal && !metal.empty())
+        if (auto const* const cut = metal.cut_at(level.wrapped(cell));
+            cut && cut->is_cut(std::size_t(2 * axis + 1 - side)))
+          end = *rules.inside_beside_metal;
       Ghost ghost{0, float(end.second), float(end.first)};
       if (face.is_wall && rules.more) ghost.first += float(rules.more(cell, axis, side));
       if (ghost.factor != 0) {
@@ -216,10 +222,20 @@ void Stencil::add_coefficients(Row* rows, CellBlock const& block,
       if (j == ny - 1) subtract(1, 1, k);
       if (k == 0) subtract(2, 0, j);
       if (k == nz - 1) subtract(2, 1, j);
-      std::int32_t const start = pooled(block, diagonal, held);
+      std::int32_t const start = pooled(std::size_t(block.cells.pitch_y), diagonal, held);
       if (inside) inner[ends] = start;
       rows[row].coefficients = start;
     }
+}
+
+float Stencil::weight_beyond(std::size_t block, int ny, Index3 const& at, std::size_t side) const {
+  std::size_t const row = std::size_t(first_row_[block] + at[1] + ny * at[2]);
+  if (row < metal_of_.size() && metal_of_[row] >= 0) {
+    MetalRow const& metal = metal_rows_[std::size_t(metal_of_[row])];
+    for (int n = metal.first_cut; n < metal.first_cut + metal.cuts[0] + metal.cuts[1]; ++n)
+      if (cuts_[std::size_t(n)].place == at[0]) return cuts_[std::size_t(n)].weight[side];
+  }
+  return table_.weight[side / 2];
 }
 
 /// The equations of cut cells, and what makes solid ones zero: their steps.
@@ -277,18 +293,13 @@ void Stencil::add_metal_row(Row& row, std::array<std::vector<CutPlace>, 2> const
   for (auto const& of_parity : cuts) cuts_.insert(cuts_.end(), of_parity.begin(), of_parity.end());
   solids_.insert(solids_.end(), solids.begin(), solids.end());
   if (solids.empty()) return;
-  std::size_t const start = pool_.size(), pitch = std::size_t(row.pitch), size = RowTable::held_place * pitch;
-  pool_.resize(start + (size + 15) / 16 * 16);  // coefficients of its own
-  std::copy_n(pool_.begin() + row.coefficients, size, pool_.begin() + std::ptrdiff_t(start));
-  for (SolidRun const& run : solids)
-    for (std::size_t parity : {1, 2})
-      std::fill_n(pool_.begin() + std::ptrdiff_t(start + parity * pitch) + run.place, run.count, 0.0f);
-  row.coefficients = std::int32_t(start);
+  auto const first = pool_.begin() + row.coefficients;
+  std::vector<float> diagonal(first, first + row.cells);
+  for (SolidRun const& run : solids) std::fill_n(diagonal.begin() + run.place, run.count, 0.0f);  // and no steps
+  row.coefficients = pooled(std::size_t(row.pitch), diagonal, {});
 }
 
-std::int32_t Stencil::pooled(CellBlock const& block, std::vector<float> const& diagonal,
-                             std::vector<float> const& held) {
-  std::size_t const pitch = std::size_t(block.cells.pitch_y);
+std::int32_t Stencil::pooled(std::size_t pitch, std::vector<float> const& diagonal, std::vector<float> const& held) {
   std::string key;
   auto const append = [&](auto const* values, std::size_t n) {
     key.append(reinterpret_cast<char const*>(values), n * sizeof *values);

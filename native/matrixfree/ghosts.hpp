@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <functional>
+#include <optional>
 #include <string>
 #include <unordered_map>
 
@@ -30,7 +31,8 @@ struct GhostRules {
   std::function<Real(Index3 const&, int, int)> more = nullptr;
   /// Outside the level but inside the domain: cell, axis, side. Not called where the level covers the domain.
   std::function<WallGhost(Index3 const&, int, int)> inside = nullptr;
-  Real3 seam_width{1, 1, 1};  ///< of the last cell along a periodic axis, see `UpperEnd`
+  Real3 seam_width{1, 1, 1};                       ///< of the last cell along a periodic axis, see `UpperEnd`
+  std::optional<WallGhost> inside_beside_metal{};  ///< as `inside`, where metal hides the second cell
 
   std::array<bool, 3> seams() const { return {seam_width[0] != 1, seam_width[1] != 1, seam_width[2] != 1}; }
 };
@@ -52,6 +54,8 @@ class Stencil {
   /// The rows of a block, [j + ny k].
   Row const* rows(std::size_t block) const { return &rows_[std::size_t(first_row_[block])]; }
   RowTable table() const;  ///< in this memory
+  /// Factor of what lies beyond a side of a cell of a block, counted from its first one.
+  float weight_beyond(std::size_t block, int ny, Index3 const& at, std::size_t side) const;
 
   // What it consists of: rows and composed rows block after block.
   std::vector<Row> const& all_rows() const { return rows_; }
@@ -68,7 +72,8 @@ class Stencil {
 
  private:
   static std::vector<Ghost> ghosts(Level const& level, Layout const& layout, GhostRules const& rules,
-                                   CellBlock const& block, Face const& face, int axis, int side);
+                                   MetalCells const& metal, CellBlock const& block, Face const& face, int axis,
+                                   int side);
   void add_rows(Layout const& layout, std::size_t block,
                 std::array<std::array<std::vector<Ghost>, 2>, 3> const& ghosts);
   std::int32_t compose(Ghost const* ghosts, int n, std::ptrdiff_t own, std::ptrdiff_t zero_row);
@@ -78,7 +83,7 @@ class Stencil {
                  std::array<std::array<std::vector<Ghost>, 2>, 3> const& ghosts, Equation const& equation,
                  MetalCells const& metal, Row* rows);
   void add_metal_row(Row& row, std::array<std::vector<CutPlace>, 2> const& cuts, std::vector<SolidRun> const& solids);
-  std::int32_t pooled(CellBlock const& block, std::vector<float> const& diagonal, std::vector<float> const& held);
+  std::int32_t pooled(std::size_t pitch, std::vector<float> const& diagonal, std::vector<float> const& held);
 
   Real relaxation_;
   float shift_;

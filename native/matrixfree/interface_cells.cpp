@@ -13,10 +13,22 @@ constexpr int margin = 2;  ///< of coarser cells that fits take, around the pare
 }  // namespace
 
 InterfaceCells::InterfaceCells(Level const& level, Level const& coarser, Level const* finer, Layout const& layout,
-                               LevelFaces const& faces, std::vector<CoarsePatch> const& patches,
-                               std::array<float, 3> const& weight, std::array<float, 3> const& coarse_weight,
-                               std::shared_ptr<GapFits> gap_fits)
+                               LevelFaces const& faces, std::vector<CoarsePatch> const& patches, Stencil const& stencil,
+                               std::array<float, 3> const& coarse_weight, std::shared_ptr<GapFits> gap_fits,
+                               MetalBeside const& metal)
     : gap_fits_(std::move(gap_fits)) {
+  std::array<float, 3> const& weight = stencil.weight();
+  std::optional<LevelsInMetal> in_metal;
+  MetalCells coarse_rows;
+  if (metal.metal) {
+    std::vector<Box> own, around;
+    for (std::size_t b = 0; b < layout.own_blocks(); ++b) {
+      own.push_back(layout.blocks()[b].box.grow(1));
+      around.push_back(patches[b].box.grow(1));
+    }
+    in_metal.emplace(coarser, level, metal.metal->cells(coarser, around), metal.metal->cells(level, own));
+    coarse_rows = metal_of_level(*metal.metal, coarser, metal.coarsest, {&level}, around, false).cells;
+  }
   for (std::size_t b = 0; b < layout.own_blocks(); ++b) {
     if (!faces[b].ends_level()) continue;
     CellBlock const& block = layout.blocks()[b];
@@ -27,13 +39,11 @@ InterfaceCells::InterfaceCells(Level const& level, Level const& coarser, Level c
         Face const& beyond = faces[b].sides[std::size_t(2 * axis + side)];
         if (!beyond.has_coarser) continue;
         auto const [u, v] = tangential_axes(axis);
-        auto const fits = fits_behind(beyond, axis, near, refined);
+        auto fits = fits_behind(beyond, axis, near, refined);
         Box const& parents = fits.box();
         InterfaceSide face;
         face.nu = parents.extent(u);
         face.nv = parents.extent(v);
-        face.fits = fits_.size();
-        fits_.insert(fits_.end(), fits.values().begin(), fits.values().end());
         Index3 first = beyond.layer.lower;
         first[axis] += side == 0 ? 1 : -1;
         face.cell = block.place(first);
@@ -47,12 +57,63 @@ InterfaceCells::InterfaceCells(Level const& level, Level const& coarser, Level c
         face.flux_weight = float(fine_face_weight) * coarse_weight[axis];
         face.axis = axis, face.side = side;
         face.parent_normal = patch.cells.stride(axis);
+        if (in_metal) add_metal(face, parents, b, block, *in_metal, stencil, coarse_rows, metal.coarse_equation, fits);
+        face.fits = fits_.size();
+        fits_.insert(fits_.end(), fits.values().begin(), fits.values().end());
         add_gaps(face, fits, near, refined, level, finer, layout);
         faces_.push_back(face);
         plane_.resize(std::max(plane_.size(), std::size_t(face.nu + 2 * margin) * std::size_t(face.nv + 2 * margin)));
         rows_.resize(std::max(rows_.size(), std::size_t(4 * face.nu)));
       }
   }
+}
+
+/// The faces behind a side of a block that metal makes others, which have no fits then. `coarse_rows`: arms of the
+/// coarser level as its equations have them.
+void InterfaceCells::add_metal(InterfaceSide const& face, Box const& parents, std::size_t block, CellBlock const& cells,
+                               LevelsInMetal const& levels, Stencil const& stencil, MetalCells const& coarse_rows,
+                               Equation const& coarse_equation, ArrayOnBox<FitNumber>& fits) {
+  auto const [u, v] = tangential_axes(face.axis);
+  for_each_cell(parents, [&](Index3 const& cell) {
+    if (fits(cell) == no_fit) return;
+    auto const beside = levels.beside_metal({cell, face.axis, face.side}, fits(cell));
+    if (!beside) return;
+    fits(cell) = no_fit;
+    if (beside->links == 0) return;
+    int const x = cell[u] - parents.lower[u], y = cell[v] - parents.lower[v];
+    MetalSide out{first_cell(face, x, y),
+                  std::size_t(face.parent + x * face.parent_u + y * face.parent_v),
+                  face.cell_u,
+                  face.cell_v,
+                  face.inward,
+                  {},
+                  {},
+                  {},
+                  {}};
+    CutCell const* const cut = coarse_rows.cut_at(levels.wrapped(cell));
+    std::size_t const toward = beside->at.inward();
+    Real coarse = coarse_equation.weight[face.axis];
+    if (cut) {
+      std::array<Arm, 6> arms;
+      for (std::size_t n = 0; n < 6; ++n) arms[n] = arm_of(*cut, n);
+      coarse = cut_row(coarse_equation, arms, cut->hold).neighbour[toward];
+    }
+    coarse *= fine_face_weight * beside->of_links();
+    for (std::size_t b = 0; b < 2; ++b)
+      for (std::size_t a = 0; a < 2; ++a) {
+        if (!beside->linked[b][a]) continue;
+        Index3 at = beside->at.fine(int(a), int(b));
+        for (int d = 0; d < 3; ++d) at[d] -= cells.box.lower[d];
+        float const own = stencil.weight_beyond(block, cells.box.extent(1), at, beside->at.outward());
+        out.star[b][a] = own * float(beside->star(a, b));
+        out.first[b][a] = float(coarse * (1 - beside->first(a, b)));
+        out.second[b][a] = float(-coarse * beside->second(a, b));
+      }
+    for (auto const& term : beside->cells)
+      out.terms.push_back(
+          {term.i * std::ptrdiff_t(face.parent_u) + term.j * std::ptrdiff_t(face.parent_v), term.weight});
+    metal_.push_back(std::move(out));
+  });
 }
 
 /// The fits in gaps behind a face. `near`, `refined`: parts of the coarser level and of this one around it.
@@ -110,6 +171,12 @@ void InterfaceCells::subtract_in_gaps(Vector const& e, Vector& r) {
 }
 
 void InterfaceCells::subtract_coarse(Vector const& coarse_values, Vector& r) const {
+  for (MetalSide const& side : metal_) {
+    FourStars<float> stars{};
+    for (auto const& [step, weight] : side.terms)
+      add_to_stars(stars, weight, coarse_values[std::size_t(std::ptrdiff_t(side.parent) + step)]);
+    side.for_each([&](std::size_t at, std::size_t a, std::size_t b) { r[at] -= side.star[b][a] * stars[b][a]; });
+  }
   for (InterfaceSide const& face : faces_) {
     float const* coarse = &coarse_values[std::size_t(face.parent)];
     std::array<std::ptrdiff_t, 3> step{};
@@ -152,6 +219,11 @@ void InterfaceCells::subtract_coarse(Vector const& coarse_values, Vector& r) con
 }
 
 void InterfaceCells::subtract_flux(Vector const& e, Vector& coarse_values) const {
+  for (MetalSide const& side : metal_)
+    side.for_each([&](std::size_t at, std::size_t a, std::size_t b) {
+      std::size_t const next = std::size_t(std::ptrdiff_t(at) + side.inward);
+      coarse_values[side.parent] -= side.first[b][a] * e[at] + side.second[b][a] * e[next];
+    });
   for (InterfaceSide const& face : faces_) {
     for (int v = 0; v < face.nv; ++v)
       for_each_run(&fits_[face.fits + std::size_t(v) * std::size_t(face.nu)], face.nu,

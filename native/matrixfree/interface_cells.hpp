@@ -4,9 +4,11 @@
 
 #include "matrixfree/fits.hpp"
 #include "matrixfree/gap_window.hpp"
+#include "matrixfree/ghosts.hpp"
 #include "matrixfree/interface_acts.hpp"
 #include "matrixfree/layout.hpp"
 #include "mesh/faces.hpp"
+#include "mesh/metal_faces.hpp"
 
 namespace amrpic::kokkos {
 class InterfaceCells;  // the same on Kokkos, by the same lists
@@ -23,15 +25,23 @@ struct CoarsePatch {
   }
 };
 
+/// Conductors, null if there are none; the level before the coarser one; and the equation of that one, scaled.
+struct MetalBeside {
+  Metal const* metal = nullptr;
+  Level const* coarsest = nullptr;
+  Equation coarse_equation{};
+};
+
 /// The faces between own cells of a level and uncovered cells of the next coarser one, in the equations of corrections.
 class InterfaceCells {
  public:
   InterfaceCells() = default;
   /// `finer`: the next finer level, null if there is none; `faces`: of the blocks; `patches`: of the own blocks, with
-  /// two cells around the parents; weights: those of the stencils of this level and the coarser one.
+  /// two cells around the parents; `stencil`: of this level; `coarse_weight`: of that of the coarser one.
   InterfaceCells(Level const& level, Level const& coarser, Level const* finer, Layout const& layout,
-                 LevelFaces const& faces, std::vector<CoarsePatch> const& patches, std::array<float, 3> const& weight,
-                 std::array<float, 3> const& coarse_weight, std::shared_ptr<GapFits> gap_fits);
+                 LevelFaces const& faces, std::vector<CoarsePatch> const& patches, Stencil const& stencil,
+                 std::array<float, 3> const& coarse_weight, std::shared_ptr<GapFits> gap_fits,
+                 MetalBeside const& metal = {});
 
   /// Take from r what the ghosts behind the faces have of the coarser correction.
   void subtract_coarse(Vector const& coarse_values, Vector& r) const;
@@ -72,9 +82,26 @@ class InterfaceCells {
   static std::size_t first_cell(InterfaceSide const& face, int u, int v) {
     return std::size_t(face.cell + 2 * (u * face.cell_u + v * face.cell_v));
   }
+  /// A coarse face beside metal: its cells, what these take of phi* and of their own values, see MetalFace.
+  struct MetalSide {
+    std::size_t cell, parent;
+    std::int32_t cell_u, cell_v, inward;
+    FourStars<float> star{}, first{}, second{};
+    std::vector<std::pair<std::ptrdiff_t, FourStars<Real>>> terms;  ///< coarse cells, from `parent`
+    template <class F>
+    void for_each(F&& f) const {
+      for (std::size_t b = 0; b < 2; ++b)
+        for (std::size_t a = 0; a < 2; ++a)
+          f(cell + std::size_t(std::ptrdiff_t(a) * cell_u + std::ptrdiff_t(b) * cell_v), a, b);
+    }
+  };
+  void add_metal(InterfaceSide const& face, Box const& parents, std::size_t block, CellBlock const& cells,
+                 LevelsInMetal const& levels, Stencil const& stencil, MetalCells const& coarse_rows,
+                 Equation const& coarse_equation, ArrayOnBox<FitNumber>& fits);
   template <class F>
   void for_each_gap(InterfaceSide const& face, F&& f) const;
   std::vector<InterfaceSide> faces_;
+  std::vector<MetalSide> metal_;
   std::vector<FitNumber> fits_;
   std::shared_ptr<GapFits> gap_fits_;
   std::vector<GapFit const*> gaps_;

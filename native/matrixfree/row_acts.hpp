@@ -148,6 +148,16 @@ struct ChildRow {
   }
 };
 
+/// Set what metal makes zero in a part of a row of values.
+inline void clear_solid_in(RowTable const& level, Row const& row, int first, int count, float* values) {
+  MetalRow const& metal = level.metal(row);
+  for (int n = metal.first_solid; n < metal.first_solid + metal.solids; ++n) {
+    SolidRun const run = level.solids[n];
+    int const begin = std::max(first, run.place), end = std::min(first + count, run.place + run.count);
+    for (int i = begin; i < end; ++i) values[i - first] = 0;
+  }
+}
+
 /// Residuals of some cells of a row, set as if there were no metal: those of cut and solid cells.
 [[gnu::noinline]] inline void residuals_beside_metal(RowTable const& level, Row const& row, CorrectionRow const& at,
                                                      float const* r, int first, int count, float* left) {
@@ -157,10 +167,20 @@ struct ChildRow {
     if (int const i = cut.place; i >= first && i < first + count)
       left[i - first] = remaining(r[i], level.sum(row, at, cut), cut.diagonal, at.here[i]);
   }
-  for (int n = metal.first_solid; n < metal.first_solid + metal.solids; ++n) {
-    SolidRun const run = level.solids[n];
-    for (int i = std::max(first, run.place); i < std::min(first + count, run.place + run.count); ++i)
-      left[i - first] = 0;
+  clear_solid_in(level, row, first, count, left);
+}
+
+/// Right-hand sides of a row beside metal taken to parents, part by part.
+template <int lanes>
+[[gnu::noinline]] inline void restrict_beside_metal(RowTable const& level, Row const& row, float const* r,
+                                                    Parents const& parents, float weight, bool set, float* to) {
+  alignas(64) float right[chunk + 2 * widest];
+  for (int first = 0; first < row.cells; first += chunk) {
+    int const count = std::min(chunk, row.cells - first);
+    std::copy_n(r + first, count, right);
+    clear_solid_in(level, row, first, count, right);
+    restrict_row<lanes>(right, parents.over_ratio(0, count), parents.ratio[0], weight, set,
+                        to + parents.over_ratio(0, first));
   }
 }
 
@@ -203,7 +223,7 @@ KOKKOS_INLINE_FUNCTION void restrict_to(Parents const& parents, int y, int z, Ro
         f(rows[j + ny * k], weight * parents.weight_of(1, j) * parents.weight_of(2, k));
   };
   if constexpr (Worker::has_vectors)
-    if (!level.in_differences && (of_residual || !with_metal) && parents.last[0] < 0 && parents.odd[0] == 0 &&
+    if (!level.in_differences && parents.last[0] < 0 && parents.odd[0] == 0 &&
         (rows->cells & (parents.ratio[0] - 1)) == 0)
       return with_kind(rows->lanes, level.isotropic, [&](auto lanes, auto isotropic) {
         for_each_child_row([&](Row const& row, float of_row) {
@@ -211,6 +231,8 @@ KOKKOS_INLINE_FUNCTION void restrict_to(Parents const& parents, int y, int z, Ro
             restrict_residuals<lanes(), isotropic(), with_metal>(level, row,
                                                                  level.template correction<lanes()>(row, e, composed),
                                                                  r + row.place, parents, of_row, set, to);
+          else if (with_metal && level.has_metal(row))
+            restrict_beside_metal<lanes()>(level, row, r + row.place, parents, of_row, set, to);
           else
             restrict_row<lanes()>(r + row.place, parents.over_ratio(0, row.cells), parents.ratio[0], of_row, set, to);
         });

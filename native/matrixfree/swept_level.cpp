@@ -26,15 +26,15 @@ std::vector<Box> boxes_of(Layout const& layout) {
 }  // namespace
 
 SweptLevel::SweptLevel(Communicator const& comm, std::shared_ptr<Level const> level, GhostRules const& rules,
-                       Faces const& boundary, Real shift, Relaxation const& relaxation, int halo, Metal const* metal)
+                       Faces const& boundary, Real shift, Relaxation const& relaxation, int halo, MetalIn const& metal)
     : level_(std::move(level)),
       scale_(smallest_spacing(*level_) * smallest_spacing(*level_)),
+      equation_(scaled(equation_on(level_->spacing(), shift), scale_)),
       is_thin_(halo == 1),
       layout_(*level_, halo, rules.seams()),
       faces_(faces_of_blocks(*level_, layout_, is_thin_ ? layout_.own_blocks() : layout_.blocks().size())),
-      stencil_(*level_, layout_, faces_, rules, scaled(equation_on(level_->spacing(), shift), scale_),
-               relaxation.factor, !metal && is_nearly_free(*level_, boundary, shift),
-               metal ? metal->cells(*level_, boxes_of(layout_)) : MetalCells{}),
+      stencil_(*level_, layout_, faces_, rules, equation_, relaxation.factor,
+               !metal && is_nearly_free(*level_, boundary, shift), metal ? metal(boxes_of(layout_)) : MetalCells{}),
       sweep_(layout_, stencil_),
       r_(layout_.size()),
       e_(layout_.size()) {

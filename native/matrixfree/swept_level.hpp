@@ -41,12 +41,13 @@ struct SweepWork {
 /// of the level, and all that sweeps over it need.
 class SweptLevel {
  public:
+  using MetalIn = std::function<MetalCells(std::vector<Box> const&)>;
   /// `shift`: of the Equation; `halo`: how deep the copies of other ranks' cells are. With deep ones all ranks sweep
   /// over them too, and messages are few; those of one layer are brought before each half of a sweep, which takes a
-  /// fraction of the bytes and no work beside that on own cells. `boundary`: of the domain; `metal`: null if there is
-  /// none. Collective.
+  /// fraction of the bytes and no work beside that on own cells. `boundary`: of the domain; `metal`: in boxes, null if
+  /// there is none. Collective.
   SweptLevel(Communicator const& comm, std::shared_ptr<Level const> level, GhostRules const& rules,
-             Faces const& boundary, Real shift, Relaxation const& relaxation, int halo, Metal const* metal = nullptr);
+             Faces const& boundary, Real shift, Relaxation const& relaxation, int halo, MetalIn const& metal = nullptr);
   SweptLevel(SweptLevel const&) = delete;  // the sweeps refer to the layout
   SweptLevel& operator=(SweptLevel const&) = delete;
 
@@ -107,7 +108,8 @@ class SweptLevel {
   PlaceAndDiagonal place_and_diagonal(Index3 const& cell) const;
   Vector& right_hand_side() { return r_; }
   Vector& correction() { return e_; }
-  Real scale() const { return scale_; }  ///< h²
+  Real scale() const { return scale_; }            ///< h²
+  Equation equation() const { return equation_; }  ///< times that
 
   std::size_t bytes() const { return (r_.size() + e_.size()) * sizeof(float) + stencil_.bytes(); }
 
@@ -122,6 +124,7 @@ class SweptLevel {
 
   std::shared_ptr<Level const> level_;
   Real scale_;
+  Equation equation_;
   bool is_thin_;
   Layout layout_;
   LevelFaces faces_;

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "mesh/box_set.hpp"
+
 namespace amrpic {
 
 namespace {
@@ -18,80 +20,144 @@ std::vector<CutCell> without_metal_behind_walls(std::vector<CutCell> cells, Box 
   return cells;
 }
 
-bool comes_before(Index3 const& a, Index3 const& b) {
-  return std::array{a[2], a[1], a[0]} < std::array{b[2], b[1], b[0]};
+/// What a box is within the domain, piece by piece; images behind periodic faces are those of its cells.
+std::vector<Box> within_domain(Level const& level, Box const& box) {
+  Box const& domain = level.domain();
+  std::vector<Box> out{level.cut_at_walls(box)};
+  for (int d = 0; d < 3; ++d) {
+    if (!level.periodic()[d]) continue;
+    std::vector<Box> pieces;
+    for (Box piece : out) {
+      if (piece.extent(d) >= domain.extent(d)) piece.lower[d] = domain.lower[d], piece.upper[d] = domain.upper[d];
+      for (int by : {-1, 0, 1}) {
+        Index3 shift{0, 0, 0};
+        shift[d] = by * domain.extent(d);
+        Box part = piece.shift(shift);
+        part.lower[d] = std::max(part.lower[d], domain.lower[d]);
+        part.upper[d] = std::min(part.upper[d], domain.upper[d]);
+        if (!part.empty()) pieces.push_back(part);
+      }
+    }
+    out = pieces;
+  }
+  return out;
+}
+
+std::vector<Box> without(std::vector<Box> boxes, std::vector<Box> const& holes) {
+  for (Box const& hole : holes) boxes = amrpic::without(boxes, hole);
+  return boxes;
+}
+
+/// Disjoint boxes with all cells of some; a single one, if the others are most of it.
+std::vector<Box> disjoint(std::vector<Box> const& boxes) {
+  Box all;
+  for (Box const& box : boxes) all = all.empty() ? box : box.empty() ? all : all.hull(box);
+  if (all.empty()) return {};
+  GlobalIndex cells = 0;
+  for (Box const& box : boxes) cells += box.cells();
+  std::vector<Box> out;
+  if (2 * cells < all.cells() || boxes.size() < 300)
+    for (Box const& box : boxes) {
+      auto const left = without({box}, out);
+      out.insert(out.end(), left.begin(), left.end());
+    }
+  GlobalIndex covered = 0;
+  for (Box const& box : out) covered += box.cells();
+  return out.empty() || 2 * covered > all.cells() ? std::vector<Box>{all} : out;
 }
 
 }  // namespace
 
-/// On a level coarser than the base: add the cells whose arms miss metal that arms of the base meet there. Corrections
-/// that did not know of it, such as of a grid of wires, would overshoot without bound. Its hold is that of a potential
-/// that is constant in each coarse cell: the mean over the cells of the base of what metal adds to their diagonals,
-/// each arm that it cuts as if it ended at a centre.
-void Metal::add_thin(Level const& level, Box const& region, MetalCells& cells) const {
-  Index3 ratio;
-  Real3 spacing, weight;
-  Real coarse = 0, children = 1;
-  for (int d = 0; d < 3; ++d) {
-    ratio[d] = std::max(1, int(std::lround(level.spacing()[d] / spacing_[d])));
-    spacing[d] = level.spacing()[d] / ratio[d];
-    weight[d] = 1 / (spacing[d] * spacing[d]);
-    coarse += 2 / (level.spacing()[d] * level.spacing()[d]);
-    children *= ratio[d];
+/// Sorted.
+MetalCells Metal::found(std::vector<Box> const& boxes, Real3 const& spacing) const {
+  for (Known const& known : known_) {
+    if (known.spacing != spacing) continue;
+    auto const is_known = [&](Box const& box) { return without({box}, known.boxes).empty(); };
+    if (std::all_of(boxes.begin(), boxes.end(), is_known)) return known.cells;
   }
-  if (children == 1) return;
-  Box fine;
-  for (int d = 0; d < 3; ++d)
-    fine.lower[d] = region.lower[d] * ratio[d],
-    fine.upper[d] = std::min((region.upper[d] + 1) * ratio[d] - 1, base_.upper[d]);
-  MetalCells const of_base = ask_(fine, spacing);
-  std::vector<Real> hold(std::size_t(region.cells()), 0.0);
-  auto const at = [&](Index3 const& child) -> Real& {
-    return hold[std::size_t(region.offset({child[0] / ratio[0], child[1] / ratio[1], child[2] / ratio[2]}))];
+  auto [cut, solid] = ask_(boxes, spacing);
+  auto const sort = [&](auto& cells) {
+    auto const before = [](auto const& a, auto const& b) { return comes_before(a.cell, b.cell); };
+    if (boxes.size() > 1) std::sort(cells.begin(), cells.end(), before);
   };
-  for (CutCell const& cut : without_metal_behind_walls(of_base.cut(), base_, level.periodic()))
-    for (std::size_t n = 0; n < 6; ++n)
-      if (cut.is_cut(n)) at(cut.cell) += weight[int(n) / 2] / (children * coarse);
-  for (SolidCell const& solid : of_base.solid())
-    at(solid.cell) += 2 * (weight[0] + weight[1] + weight[2]) / (children * coarse);
-  for (SolidCell const& solid : cells.solid()) hold[std::size_t(region.offset(solid.cell))] = 0;
+  sort(cut), sort(solid);
+  known_.push_back({spacing, boxes, {std::move(cut), std::move(solid)}});
+  return known_.back().cells;
+}
+
+/// Add the cells whose arms miss metal that arms of finer levels meet there. Corrections that did not know of it, such
+/// as of a grid of wires, would overshoot without bound. Its hold is that of a potential that is constant in each
+/// coarse cell: the mean over the finest cells of what metal adds to their diagonals, each arm that it cuts as if it
+/// ended at a centre.
+void Metal::add_thin(Level const& level, std::vector<Box> const& regions, std::vector<Level const*> const& finer,
+                     MetalCells& cells) const {
   std::vector<CutCell> out = cells.cut();
-  for (CutCell& cut : out) {
-    Real& h = hold[std::size_t(region.offset(cut.cell))];
-    if (std::all_of(cut.electrode.begin(), cut.electrode.end(), [](int e) { return e < 0; })) cut.hold = h;
-    h = 0;
+  for (Box const& region : regions) {
+    std::vector<Real> hold(std::size_t(region.cells()), 0.0);
+    for (std::size_t n = 0; n < finer.size(); ++n)
+      add_holds(level, *finer[n], n + 1 < finer.size() ? finer[n + 1] : nullptr, region, hold);
+    for (SolidCell const& solid : cells.solid())
+      if (region.contains(solid.cell)) hold[std::size_t(region.offset(solid.cell))] = 0;
+    for (std::size_t n = 0; n < cells.cut().size(); ++n) {
+      if (!region.contains(out[n].cell)) continue;
+      Real& h = hold[std::size_t(region.offset(out[n].cell))];
+      if (!out[n].is_cut()) out[n].hold = h;
+      h = 0;
+    }
+    for_each_cell(region, [&](Index3 const& cell) {
+      if (Real const h = hold[std::size_t(region.offset(cell))]; h > 0) out.push_back(CutCell::uncut(cell, h));
+    });
   }
-  std::size_t const cut = out.size();
-  for_each_cell(region, [&](Index3 const& cell) {
-    if (Real const h = hold[std::size_t(region.offset(cell))]; h > 0)
-      out.push_back({cell, {2, 2, 2, 2, 2, 2}, {-1, -1, -1, -1, -1, -1}, h});
-  });
-  auto const before = [](CutCell const& a, CutCell const& b) { return comes_before(a.cell, b.cell); };
-  std::inplace_merge(out.begin(), out.begin() + std::ptrdiff_t(cut), out.end(), before);
+  std::sort(out.begin(), out.end(), [](auto const& a, auto const& b) { return comes_before(a.cell, b.cell); });
   cells = {std::move(out), cells.solid()};
 }
 
-MetalCells Metal::cells(Level const& level, std::vector<Box> const& boxes) const {
-  Box region;
-  Box const& domain = level.domain();
-  for (Box box : boxes) {
-    for (int d = 0; d < 3; ++d) {
-      bool const is_image = box.lower[d] < domain.lower[d] || box.upper[d] > domain.upper[d];
-      if (is_image && level.periodic()[d]) box.lower[d] = domain.lower[d], box.upper[d] = domain.upper[d];
-    }
-    region = region.empty() ? box : region.hull(box);
+/// Those of the cells of a finer level that `next` does not cover.
+void Metal::add_holds(Level const& level, Level const& finer, Level const* next, Box const& region,
+                      std::vector<Real>& hold) const {
+  Index3 ratio;
+  Real coarse = 0, children = 1;
+  Real3 weight;
+  for (int d = 0; d < 3; ++d) {
+    ratio[d] = std::max(1, int(std::lround(level.spacing()[d] / finer.spacing()[d])));
+    weight[d] = 1 / (finer.spacing()[d] * finer.spacing()[d]);
+    coarse += 2 / (level.spacing()[d] * level.spacing()[d]);
+    children *= ratio[d];
   }
-  region = region.intersect(domain);
-  if (region.empty()) return {};
-  MetalCells const all = ask_(region, level.spacing());
-  MetalCells out{without_metal_behind_walls(all.cut(), domain, level.periodic()), all.solid()};
-  add_thin(level, region, out);
+  std::vector<Box> parts;
+  finer.for_each_overlap(region.refine(ratio).intersect(finer.domain()),
+                         [&](int, Box const& part, Index3 const&) { parts.push_back(part); });
+  parts = disjoint(parts);
+  if (children == 1 || parts.empty()) return;
+  MetalCells const metal = found(parts, finer.spacing());
+  auto const add = [&](Index3 const& child, Real share) {
+    Index3 const cell{child[0] / ratio[0], child[1] / ratio[1], child[2] / ratio[2]};
+    if (!region.contains(cell) || finer.find(child) < 0 || (next && next->find(first_child_of(child)) >= 0)) return;
+    hold[std::size_t(region.offset(cell))] += share / (children * coarse);
+  };
+  for (CutCell const& cut : without_metal_behind_walls(metal.cut(), finer.domain(), finer.periodic()))
+    for (std::size_t n = 0; n < 6; ++n)
+      if (cut.is_cut(n)) add(cut.cell, weight[int(n) / 2]);
+  for (SolidCell const& solid : metal.solid()) add(solid.cell, 2 * (weight[0] + weight[1] + weight[2]));
+}
+
+MetalCells Metal::cells(Level const& level, std::vector<Box> const& boxes,
+                        std::vector<Level const*> const& finer) const {
+  std::vector<Box> regions;
+  for (Box const& box : boxes)
+    for (Box const& piece : within_domain(level, box)) regions.push_back(piece);
+  regions = disjoint(regions);
+  if (regions.empty()) return {};
+  MetalCells const all = found(regions, level.spacing());
+  MetalCells out{without_metal_behind_walls(all.cut(), level.domain(), level.periodic()), all.solid()};
+  if (!finer.empty()) add_thin(level, regions, finer, out);
   return out;
 }
 
 MetalCells Metal::own_cells(Level const& level) const {
-  return cells(level,
-               {level.boxes().begin() + level.first_local_box(), level.boxes().begin() + level.last_local_box()});
+  std::vector<Box> boxes;
+  for (int b = level.first_local_box(); b < level.last_local_box(); ++b) boxes.push_back(level.box(b).grow(reach));
+  return cells(level, boxes);
 }
 
 }  // namespace amrpic

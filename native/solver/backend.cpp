@@ -117,8 +117,10 @@ void Backend::start(Field& phi, bool is_zero) {
   cycles_ = 0;
   corrections_.clear();
   if (is_zero) return;
-  composite_.fill_metal(problem_.potentials, phi);
-  composite_.average_down(phi);
+  if (problem_.metal)
+    composite_.fill_metal(problem_.potentials, phi);
+  else
+    composite_.average_down(phi);
 }
 
 Real Backend::residual() {
@@ -128,8 +130,9 @@ Real Backend::residual() {
 
 Real Backend::find_residual() {
   Norm const norm = problem_.options.norm;
-  return phi_is_zero_ ? composite_.residual_of_zero(*source_, norm, scale_, residual_)
-                      : composite_.residual(*source_, *phi_, norm, scale_, residual_);
+  return phi_is_zero_ && composite_.has_residual_of_zero()
+             ? composite_.residual_of_zero(*source_, norm, scale_, residual_)
+             : composite_.residual(*source_, *phi_, norm, scale_, residual_);
 }
 
 void Backend::improve() {

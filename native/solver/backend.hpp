@@ -61,8 +61,8 @@ class Backend {
   /// Leave in phi what was found, means of the children in covered cells.
   virtual void finish() { composite_.fill_metal(problem_.potentials, *phi_); }
   /// See CompositeResidual, for a potential that is averaged down.
-  void for_each_charge(Field const& phi, CompositeResidual::OfCharge const& f) {
-    composite_.for_each_charge(phi, problem_.walls, problem_.potentials, f);
+  void for_each_charge(Field const& phi, Field const& rho, CompositeResidual::OfCharge const& f) {
+    composite_.for_each_charge({rho, problem_.walls, {}, problem_.potentials}, phi, f);
   }
 
   /// E, -(1/s_d^2) d phi/dx_d (V/m); the potential must stay as it is.

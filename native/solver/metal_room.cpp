@@ -9,16 +9,6 @@ namespace amrpic {
 
 namespace {
 
-constexpr int room = 2;  ///< cells, of either level, between a cut cell and a face between levels
-
-/// Whether a finer level, or the end of this one, comes too near to a cell.
-bool meets_other_level(Level const& level, Level const* finer, Index3 const& cell) {
-  Box const around = level.cut_at_walls(Box{cell, cell}.grow(room));
-  if (level.cells_in(around) < around.cells()) return true;
-  bool const is_covered = finer && finer->find(first_child_of(level.wrapped(cell))) >= 0;
-  return finer && !is_covered && finer->intersects(around.refine(refinement_ratio));
-}
-
 bool is_at_open_face(Hierarchy const& hierarchy, Level const& level, Index3 const& cell) {
   for (int d = 0; d < 3; ++d)
     for (int side = 0; side < 2; ++side)
@@ -59,7 +49,6 @@ std::string place_of(Hierarchy const& hierarchy, Level const& level, GlobalIndex
 void require_room_around(Metal const& metal, Hierarchy const& hierarchy, Real3 const& stretch) {
   for (int l = 0; l < hierarchy.level_count(); ++l) {
     Level const& level = hierarchy.level(l);
-    Level const* const finer = hierarchy.has_finer(l) ? &hierarchy.level(l + 1) : nullptr;
     MetalCells const cells = metal.own_cells(level);
     GlobalIndex const open =
         hierarchy.comm().smallest(first_refused(cells.cut(), cells.solid(), level, [&](Index3 const& cell) {
@@ -69,14 +58,6 @@ void require_room_around(Metal const& metal, Hierarchy const& hierarchy, Real3 c
       throw SolverError("an electrode meets an open face of the domain at " +
                         place_of(hierarchy, level, open, stretch) +
                         "; leave room between them, or give that face a potential");
-    bool const may_meet = finer || l > 0;
-    GlobalIndex const edge = hierarchy.comm().smallest(first_refused(
-        cells.cut(), {}, level, [&](Index3 const& cell) { return may_meet && meets_other_level(level, finer, cell); }));
-    if (edge != std::numeric_limits<GlobalIndex>::max())
-      throw SolverError("the surface of an electrode comes within " + std::to_string(room) +
-                        " cells of a face between levels " + std::to_string(l) + " and another at " +
-                        place_of(hierarchy, level, edge, stretch) +
-                        "; refine all of the surface to the same level, some cells beyond it");
   }
 }
 

@@ -7,8 +7,7 @@
 
 namespace amrpic {
 
-/// Throws SolverError on all ranks for metal that meets an open face, or comes so near to one between levels that its
-/// surface would lie among the cells which meet there. Collective.
+/// Throws SolverError on all ranks for metal that meets an open face. Collective.
 void require_room_around(Metal const& metal, Hierarchy const& hierarchy, Real3 const& stretch);
 
 }  // namespace amrpic

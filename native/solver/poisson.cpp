@@ -46,6 +46,7 @@ PoissonSolver::PoissonSolver(std::shared_ptr<Hierarchy const> hierarchy, SolverO
     backend_ = make_kokkos_backend(problem);
   else
     backend_ = std::make_unique<Backend>(problem);
+  if (metal_) metal_->forget();
   if (hierarchy_->domain().has(Boundary::open)) plan_open_walls();
 }
 
@@ -106,16 +107,16 @@ void PoissonSolver::continue_walls(freespace::PerFace const& potentials) {
 
 std::vector<Real> PoissonSolver::charges(Field const& phi, Field const& rho) {
   std::vector<Real> out(potentials_.size());
-  backend_->for_each_charge(phi, [&](int, std::size_t, int on, Real charge) { out[std::size_t(on)] += charge; });
+  backend_->for_each_charge(phi, rho, [&](int, std::size_t, int on, Real charge) { out[std::size_t(on)] += charge; });
   backend_->for_each_charge_within(rho, [&](int on, Real charge) { out[std::size_t(on)] -= charge; });
   hierarchy_->comm().sum_each(out);
   return out;
 }
 
 /// The potential at open faces of the charge on electrodes in free space, V. Collective.
-std::vector<Real> PoissonSolver::of_induced_charge(Field const& phi) {
+std::vector<Real> PoissonSolver::of_induced_charge(Field const& phi, Field const& rho) {
   Field density(given_);
-  backend_->for_each_charge(phi, [&](int l, std::size_t place, int, Real charge) {
+  backend_->for_each_charge(phi, rho, [&](int l, std::size_t place, int, Real charge) {
     density.level(l)[place] += charge / given_->level(l).cell_volume();
   });
   auto const& options = reusable_.free_space->options();
@@ -127,8 +128,8 @@ std::vector<Real> PoissonSolver::of_induced_charge(Field const& phi) {
 }
 
 /// Let open faces see the charge on electrodes, beside all other, as it is after a cycle. Collective.
-void PoissonSolver::update_induced_charge(Field const& phi) {
-  auto const value = of_induced_charge(phi);
+void PoissonSolver::update_induced_charge(Field const& phi, Field const& rho) {
+  auto const value = of_induced_charge(phi, rho);
   of_induced_.resize(value.size());
   induced_change_ = fixed_point_.next(of_induced_, value, hierarchy_->comm());
   show_induced_charge();
@@ -264,7 +265,8 @@ void PoissonSolver::add_mean(SolveReport& report, Field& phi, Real of_right_hand
 }
 
 /// `largest`: magnitude of f; `rounding`: see Removed.
-void PoissonSolver::iterate(SolveReport& report, Field& phi, bool from_zero, Real largest, Real rounding) {
+void PoissonSolver::iterate(SolveReport& report, Field const& rho, Field& phi, bool from_zero, Real largest,
+                            Real rounding) {
   auto finish = [&](bool converged, std::string reason) {
     report.converged = converged;
     report.reason = std::move(reason);
@@ -339,7 +341,7 @@ void PoissonSolver::iterate(SolveReport& report, Field& phi, bool from_zero, Rea
       return finish(false, "no convergence in " + std::to_string(options_.max_cycles) + " cycles");
     backend_->improve();
     if (sees_metal() && report.cycles % updates == updates - 1)
-      stopwatch_.time("open boundary", [&] { update_induced_charge(phi); });
+      stopwatch_.time("open boundary", [&] { update_induced_charge(phi, rho); });
     if (options_.to_discretisation) {
       correction_before_ = report.cycles > 0 ? latest_correction_ : std::numeric_limits<Real>::infinity();
       latest_correction_ = backend_->largest_correction();
@@ -395,7 +397,7 @@ SolveReport PoissonSolver::solve(Field const& rho, Field& phi, bool from_zero, M
     induced_change_ = 0;
     if (!from_zero) {
       stopwatch_.time("open boundary", [&] {
-        of_induced_ = of_induced_charge(phi);
+        of_induced_ = of_induced_charge(phi, rho);
         show_induced_charge();
       });
     }
@@ -411,7 +413,7 @@ SolveReport PoissonSolver::solve(Field const& rho, Field& phi, bool from_zero, M
     if (!from_zero && options_.screening > 0) set_mean(phi, 0);
   }
   Real const largest = backend_->largest_right_hand_side();
-  iterate(report, phi, from_zero, largest, removed.rounding);
+  iterate(report, rho, phi, from_zero, largest, removed.rounding);
   backend_->finish();
   if (leaves_mean) options_.screening > 0 ? add_mean(report, phi, removed.mean, largest) : set_mean(phi, 0);
   report.seconds = stopwatch_.seconds();

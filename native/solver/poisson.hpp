@@ -92,8 +92,8 @@ class PoissonSolver {
  private:
   void plan_open_walls();
   void set_open_walls(Field const& rho, freespace::Which which);
-  std::vector<Real> of_induced_charge(Field const& phi);
-  void update_induced_charge(Field const& phi);
+  std::vector<Real> of_induced_charge(Field const& phi, Field const& rho);
+  void update_induced_charge(Field const& phi, Field const& rho);
   void show_induced_charge();
   struct Removed {
     Real mean;      ///< of f
@@ -106,7 +106,7 @@ class PoissonSolver {
   bool sees_metal() const { return metal_ && wall_plan_; }
   Real rounding_floor() const;
   void check_size(Real right_hand_side) const;
-  void iterate(SolveReport& report, Field& phi, bool from_zero, Real largest, Real rounding);
+  void iterate(SolveReport& report, Field const& rho, Field& phi, bool from_zero, Real largest, Real rounding);
   void add_mean(SolveReport& report, Field& phi, Real of_right_hand_side, Real largest) const;
   bool is_slow(std::vector<Real> const& residuals) const;
   bool below_discretisation(SolveReport& report, Real right_hand_side);

@@ -206,6 +206,16 @@ def test_a_grid_of_wires_that_coarse_levels_miss_takes_few_cycles(n):
     assert cycles([Electrode("wires", wires, voltage=1)], n) <= 8
 
 
+def test_wires_that_a_refined_level_alone_sees_take_few_cycles():
+    """Seven wires of a quarter of a cell of the base, whose corrections once made the residual grow."""
+    wires = wire(-12 * H + 0.02 * H, 0.03 * H, 0.27 * H)
+    for m in range(-2, 4):
+        wires = wires | wire(4 * m * H + 0.02 * H, 0.03 * H, 0.27 * H)
+    mesh = hierarchy(levels=[[((0, 0, 24), (63, 63, 39))]])
+    _, _, report = solve(mesh, [Electrode("wires", wires, voltage=1)])
+    assert report.cycles <= 10 and max(report.residuals) == 1
+
+
 def test_a_needle_in_a_duct_of_long_cells_takes_few_cycles():
     """Much thinner than the cells of coarse levels, and nothing else near holds the potential."""
     domain = Domain(0, (19.2, 1.6, 1.2), (48, 16, 12), {"x": "dirichlet", "y": "periodic", "z": "periodic"})
@@ -266,10 +276,13 @@ def test_bodies_at_the_limits_are_solved_as_by_a_direct_solve(name, boundary):
     _, phi, report = solve(mesh, body, (lambda x, y, z: x + z) if boundary == "dirichlet" else None, tolerance=1e-12)
     size = abs(expected.phi).max()
     assert on_cells(phi) == pytest.approx(expected.phi, abs=1e-8 * size)
-    # a flux is a difference over its arm: what the tolerance leaves of φ grows by one over the shortest
+    # the oracle takes a flux as the difference over its arm, which has no digits across short ones; all of them together are
+    # what walls and the charge between leave for them
     shortest = min(length[electrode >= 0].min(initial=1) for length, _, electrode, _ in rows.arms)
     for found, wanted in zip(report.charges.values(), expected.charges(), strict=True):
         assert found == pytest.approx(wanted, rel=max(1e-7, 1e-12 / shortest), abs=1e-7 * epsilon_0 * size)
+    outside = -rho.sum() * float(np.prod(mesh.domain.spacing)) - expected.through_walls()
+    assert sum(report.charges.values()) == pytest.approx(outside, abs=1e-8 * epsilon_0 * size)
 
 
 @pytest.mark.parametrize("boundary", ["dirichlet", "neumann"])
@@ -318,3 +331,26 @@ def test_voltages_that_vary_and_guesses():
     assert said.cycles <= 1 and on_cells(again) == pytest.approx(on_cells(phi), abs=1e-8)
     later, said = solver.solve(nothing, guess=phi, time=0.5e-6)
     assert said.voltages["e"] == pytest.approx(-3) and on_cells(later) == pytest.approx(-on_cells(phi), abs=1e-7)
+
+
+def test_the_field_of_a_unit_potential_is_its_own():
+    """Whatever was solved last: E at the walls and beside electrodes is that of one electrode at 1 V."""
+    mesh = hierarchy(16, "open")
+    pair = [
+        Electrode("a", shapes.Sphere((-0.3, 0, 0), 0.25), voltage=3),
+        Electrode("b", shapes.Sphere((0.4, 0, 0), 0.2), voltage=-7),
+    ]
+    solver = PoissonSolver(mesh, electrodes=pair, tolerance=1e-10)
+    alone = PoissonSolver(
+        mesh, electrodes=[Electrode("a", pair[0].shape, voltage=1), Electrode("b", pair[1].shape, voltage=0)]
+    )
+    phi, _ = alone.solve(Field(mesh))
+    expected = alone.electric_field(phi)
+    latest, _ = solver.solve(Field(mesh).fill(charge))
+    before = solver.electric_field(latest)
+    unit = solver.electric_field(solver.unit_potential("a"))
+    after = solver.electric_field(latest)
+    for axis in range(3):
+        size = abs(on_cells(expected.components[axis])).max()
+        assert on_cells(unit.components[axis]) == pytest.approx(on_cells(expected.components[axis]), abs=1e-5 * size)
+        assert np.array_equal(on_cells(after.components[axis]), on_cells(before.components[axis]))

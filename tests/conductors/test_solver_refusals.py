@@ -48,19 +48,15 @@ REFUSED = {
         {},
         "meets an open face",
     ),
-    "a surface that leaves a refined box": (
+    "an electrode that floats in a hollow without a cell": (
         CLOSED,
-        patch(8, 15),
-        [at(BALL)],
+        (),
+        [
+            at(shapes.Box((-0.5,) * 3, (0.5,) * 3) - shapes.Sphere((0.0625,) * 3, 0.06)),
+            Electrode("free", shapes.Sphere((0.0625,) * 3, 0.03), charge=0),
+        ],
         {},
-        "comes within",
-    ),
-    "a surface near a refined box": (
-        CLOSED,
-        patch(20, 27),
-        [at(shapes.Box((-0.5, -0.5, -0.5), (0.2, 0.2, 0.2)))],
-        {},
-        "comes within",
+        "electrode free floats where no cell",
     ),
     "metal that ends at a periodic face": (
         {"x": "periodic", "y": CLOSED, "z": CLOSED},
@@ -131,11 +127,13 @@ def test_electrodes_that_are_not_there_are_refused(comm):
 
 @pytest.mark.mpi(ranks=(1, 2))
 def test_neighbours_of_what_is_refused_are_taken(comm):
-    """Metal that ends a cell before an open face; in a refined box with three cells around it; through periodic faces alike;
-    one voltage where electrodes overlap; one of two that float held in a closed box."""
+    """Metal that ends a cell before an open face; in a refined box, through its faces and beside it; through periodic faces
+    alike; one voltage where electrodes overlap; one of two that float held in a closed box."""
     taken = [
         ("open", (), [at(shapes.Box((-0.5, -0.5, -0.5), (0.5, 0.5, 0.8)))]),
         (CLOSED, patch(8, 23), [at(BALL)]),
+        (CLOSED, patch(8, 15), [at(BALL)]),
+        (CLOSED, patch(20, 27), [at(shapes.Box((-0.5, -0.5, -0.5), (0.2, 0.2, 0.2)))]),
         ({"x": CLOSED, "y": CLOSED, "z": "periodic"}, (), [at(shapes.Cylinder((0, 0, -5), (0, 0, 5), 0.3))]),
         (CLOSED, (), [at(BALL), at(shapes.Box((0.1, -0.1, -0.1), (0.9, 0.1, 0.1)), 1.0, "f")]),
         ("neumann", (), [at(BALL), Electrode("f", shapes.Sphere((0.7, 0, 0), 0.2), charge=0)]),

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from .complaints import close_match, complaint
 from .section import Section
-from .units import ChargeDensity, FieldStrength, Index3, Length3, Momentum, Potential
+from .units import Angle, ChargeDensity, FieldStrength, Index3, Length3, Momentum, Potential
 
 #: What a function that tags cells may ask for by the names of its parameters; arrays are of one box.
 ARGUMENTS = {
@@ -132,6 +132,32 @@ class RadiusRule(Bounds):
     )
     at_least: float | None = Field(default=None, ge=0, description="Least distance, rms sizes.")
     at_most: float | None = Field(default=None, ge=0, description="Largest distance, rms sizes.")
+
+
+class RuleOfElectrodes(Rule):
+    """Tag at electrodes."""
+
+    electrodes: list[str] | None = Field(
+        default=None, min_length=1, description="Names of the electrodes; all if left out."
+    )
+
+
+class ConductorsRule(RuleOfElectrodes):
+    """Refine the cells at the surfaces of electrodes: those with a neighbour that metal hides from them."""
+
+    kind: Literal["conductors"] = "conductors"
+
+
+class ConductorEdgesRule(RuleOfElectrodes):
+    """Refine the cells at edges and strong curvature of electrodes, where fields are large."""
+
+    kind: Literal["conductor-edges"] = "conductor-edges"
+    angle: Angle = Field(
+        default=0.35,
+        gt=0,
+        lt=1.57,
+        description="An edge is where the normal of the metal turns by more than this angle, rad, over a cell and a half.",
+    )
 
 
 class CallableRule(Rule):
@@ -257,6 +283,8 @@ RuleKind = Annotated[
     | MomentumRule
     | ParticlesRule
     | RadiusRule
+    | ConductorsRule
+    | ConductorEdgesRule
     | CallableRule
     | StaticRule
     | AnyRule

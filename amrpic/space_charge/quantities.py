@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from ..conductors.conductor import Conductor
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..particles.particles import Particles
@@ -20,8 +21,8 @@ class QuantitiesOnMesh(Mapping[str, Any]):
 
     NAMES = ("rho", "phi", "efield", "particles_per_cell")
 
-    def __init__(self, particles: Particles, hierarchy: Hierarchy) -> None:
-        self.particles, self.hierarchy = particles, hierarchy
+    def __init__(self, particles: Particles, hierarchy: Hierarchy, electrodes: Sequence[Conductor] = ()) -> None:
+        self.particles, self.hierarchy, self.electrodes = particles, hierarchy, tuple(electrodes)
         self._made: dict[str, Field | VectorField] = {}
 
     def __getitem__(self, name: str) -> Any:

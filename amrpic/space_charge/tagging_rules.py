@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
+from ..conductors.conductor import Conductor
+from ..conductors.refined import beside_edges, beside_surfaces
 from ..mesh.domain import AXES, Domain
 from ..mesh.hierarchy import Hierarchy
 from ..scene.refinement import Refinement
@@ -15,6 +18,8 @@ from ..scene.refinement_rules import (
     AnyRule,
     CallableRule,
     ChargeDensityRule,
+    ConductorEdgesRule,
+    ConductorsRule,
     FieldStrengthRule,
     MomentumRule,
     ParticlesRule,
@@ -70,6 +75,13 @@ def _tags(rule: RuleKind, quantities: QuantitiesOnMesh, part: float) -> Tags:
             return tag.by_function(
                 quantities.hierarchy, rule.function, rule.name, rule.arguments, {**values_of, "hysteresis": part}
             )
+        case ConductorsRule():
+            return tag.at_electrodes(
+                quantities.hierarchy, _named(quantities.electrodes, rule.electrodes), beside_surfaces
+            )
+        case ConductorEdgesRule():
+            beside = partial(beside_edges, angle=rule.angle)
+            return tag.at_electrodes(quantities.hierarchy, _named(quantities.electrodes, rule.electrodes), beside)
         case MomentumRule():
             return _by_momentum(rule, quantities, part)
         case RadiusRule():
@@ -84,6 +96,10 @@ def _tags(rule: RuleKind, quantities: QuantitiesOnMesh, part: float) -> Tags:
         case FieldStrengthRule():
             values = tag.magnitude(quantities["efield"], "field")
     return tag.exceeding(values, part * _thresholds(rule, tag.largest(quantities.hierarchy.comm, values)))
+
+
+def _named(electrodes: Sequence[Conductor], names: Sequence[str] | None) -> list[Conductor]:
+    return [electrode for electrode in electrodes if names is None or electrode.name in names]
 
 
 def _over(at_most: float | None, part: float) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from mpi4py import MPI
+from scipy.constants import epsilon_0
 
 import amrpic
 from amrpic import shapes
@@ -215,6 +216,24 @@ def test_rules_of_electrodes_want_some():
         amrpic.Scene.from_dict(data)
     with pytest.raises(InputError, match="electrodes, of which there are none"):
         amrpic.SpaceCharge(cells=N, levels=1, rule=SURFACE)
+
+
+def test_a_run_whose_mesh_is_refined_at_a_sphere_has_a_fifth_of_the_error_of_its_charge():
+    """Between open faces; 3.2 and 6.4 cells a radius."""
+    errors = []
+    for levels in (0, 1):
+        given = {
+            "domain": {"lower": -1, "upper": 1, "cells": N},
+            "electrodes": [
+                {"name": "ball", "shape": {"kind": "sphere", "centre": [0.02, 0.01, 0], "radius": 0.4}, "voltage": 1}
+            ],
+            "refinement": {"levels": levels, "rule": SURFACE},
+            "output": {"write": []},
+        }
+        state = amrpic.Simulation(MPI.COMM_SELF, amrpic.Scene.from_dict(given)).state
+        assert state.hierarchy.levels == levels + 1
+        errors.append(abs(state.solution.charges["ball"] / (4 * np.pi * epsilon_0 * 0.4) - 1))
+    assert errors[0] < 1.5e-3 and errors[1] < errors[0] / 5
 
 
 # ---- from Python ----

@@ -45,6 +45,7 @@ from ..scene.refinement_rules import (
 )
 from ..scene.scene import Scene
 from ..scene.sources import GivenSource
+from ..space_charge.drive import Drive
 from ..stages.diagnostics import moments
 from ..stages.migrate import migrate
 from ..stages.push import random_walk
@@ -80,7 +81,8 @@ def preview(comm: MPI.Comm, scene: Scene, ranks: int, seconds: float = 0.0) -> s
     notes += of_start
     setup = resolved(setup, bunches)
     particles, outside = migrate(concatenate(bunches), base)
-    beam = follow(MeshedParticles(particles, base, first_frames(particles, setup)), None, setup)
+    drive = Drive.of(setup.electrodes, start, course.window, {})
+    beam = follow(MeshedParticles(particles, base, first_frames(particles, setup), drive=drive), None, setup)
     lost = outside.global_count(comm)
     count = beam.particles.global_count(comm) + lost
     if lost:
@@ -282,7 +284,8 @@ def _last_mesh(beam: MeshedParticles, setup: Setup) -> tuple[Hierarchy, str]:
     for step in range(1, regrids[-1] + 1):
         particles = random_walk(particles, motion.amplitude, scene.seed, step)
     particles, _ = migrate(particles, beam.hierarchy)
-    last = follow(MeshedParticles(particles, beam.hierarchy, beam.frames), None, setup, refinement.hysteresis).hierarchy
+    on_last = MeshedParticles(particles, beam.hierarchy, beam.frames, drive=beam.drive)
+    last = follow(on_last, None, setup, refinement.hysteresis).hierarchy
     return last, f"on the mesh of step {regrids[-1]}, of {last.cells()} cells"
 
 

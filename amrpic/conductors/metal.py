@@ -8,18 +8,19 @@ import numpy as np
 
 from .. import _native
 from ..errors import SolverError
-from ..mesh.domain import Domain
-from ..scene.electrodes import Electrode
-from .arms import Contact, arms_of_boxes, indices, sentence
+from .arms import Contact, Lattice, arms_of_boxes, indices, sentence
+from .conductor import Conductor
 
 Answer = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 class MetalOnMesh:
-    """Electrodes for a native solver, whose lengths are those of the domain times `stretch`."""
+    """Electrodes for a native solver, whose lengths are those of a domain from `lower` on, times `stretch`."""
 
-    def __init__(self, electrodes: Sequence[Electrode], domain: Domain, stretch: Sequence[float] = (1, 1, 1)) -> None:
-        self._electrodes, self._domain, self._stretch = tuple(electrodes), domain, np.array(stretch, float)
+    def __init__(
+        self, electrodes: Sequence[Conductor], lower: Sequence[float], stretch: Sequence[float] = (1, 1, 1)
+    ) -> None:
+        self._electrodes, self._lower, self._stretch = tuple(electrodes), lower, np.array(stretch, float)
         self._contacts: list[Contact] = []
 
     def native(self) -> _native.Metal:
@@ -34,7 +35,7 @@ class MetalOnMesh:
     def _ask(self, boxes: Sequence[Sequence[int]], spacing: Sequence[float]) -> Answer:
         """Return solid cells and their electrodes, cut cells, their arms and the electrodes that cut these."""
         widths = np.divide(spacing, self._stretch)
-        arms, contacts = arms_of_boxes(self._electrodes, boxes, self._domain.lower, widths)
+        arms, contacts = arms_of_boxes(self._electrodes, boxes, self._lower, widths)
         self._contacts += contacts
         return (
             indices(boxes, arms.solid, arms.first_solid),
@@ -45,17 +46,16 @@ class MetalOnMesh:
         )
 
 
-def image_refusal(electrodes: Sequence[Electrode], domain: Domain) -> str | None:
+def image_refusal(
+    electrodes: Sequence[Conductor], lattice: Lattice, cells: Sequence[int], periodic: Sequence[bool]
+) -> str | None:
     """Return why electrodes at periodic faces are refused, and what to do: metal has to go on alike through them."""
-    spacing = np.subtract(domain.upper, domain.lower) / domain.cells
-    for axis, faces in enumerate(domain.boundary):
-        if faces[0] != "periodic":
-            continue
+    for axis in np.flatnonzero(periodic):
         layers = []  # of cells inside and outside, at both faces
-        for index in (-1, 0, domain.cells[axis] - 1, domain.cells[axis]):
-            first, last = np.zeros(3, int), np.array(domain.cells) - 1
+        for index in (-1, 0, cells[axis] - 1, cells[axis]):
+            first, last = np.zeros(3, int), np.array(cells) - 1
             first[axis] = last[axis] = index
-            arms, _ = arms_of_boxes(electrodes, [[*first, *last]], domain.lower, spacing)
+            arms, _ = arms_of_boxes(electrodes, [[*first, *last]], lattice.origin, lattice.spacing)
             layers.append(arms)
         for inside, outside in ((layers[1], layers[3]), (layers[2], layers[0])):
             same = np.array_equal(inside.solid, outside.solid) and np.array_equal(inside.cell, outside.cell)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from ..shapes import Shape
@@ -96,3 +97,26 @@ def in_plane(
         metal |= inside.T if along == 0 else inside
         surface |= edge.T if along == 0 else edge
     return metal, surface
+
+
+def outline(
+    shape: Shape,
+    axes: tuple[int, int],
+    depth: tuple[float, float],
+    lower: ArrayLike,
+    upper: ArrayLike,
+    pixels: Sequence[int],
+) -> NDArray[np.bool_]:
+    """Return the pixels (first axis, second axis) at the rim of a body's shadow along the third axis.
+
+    Of the body counts what lies between the coordinates of `depth` along that axis, m; corners (2,) are in m.
+    """
+    width = np.subtract(upper, lower) / pixels
+    centres = [low + (np.arange(n) + 0.5) * w for low, n, w in zip(np.asarray(lower), pixels, width, strict=True)]
+    lines = np.zeros((*pixels, 3))
+    lines[..., axes[0]], lines[..., axes[1]] = centres[0][:, None], centres[1]
+    spans = shape.spans(lines.reshape(-1, 3), 3 - sum(axes))
+    shadow = np.zeros(lines[..., 0].size, bool)
+    shadow[spans.line[(spans.enter <= depth[1]) & (spans.leave >= depth[0])]] = True
+    shadow = shadow.reshape(tuple(pixels))
+    return np.asarray(shadow & ~scipy.ndimage.binary_erosion(shadow, border_value=1))

@@ -4,19 +4,25 @@ from __future__ import annotations
 
 import copy
 import operator
-from collections.abc import Sequence
-from functools import cached_property
+from collections.abc import Callable, Sequence
+from functools import cached_property, partial
 from typing import cast
 
 import numpy as np
 from mpi4py import MPI
 
 from .. import _native, html
-from ..errors import HierarchyError
-from ..parallel import Communicator, VirtualRank, own, world_by_default
+from ..conductors.conductor import Conductor
+from ..conductors.refined import beside_edges, beside_surfaces
+from ..errors import HierarchyError, InputError
+from ..parallel import Communicator, VirtualRank, own, together, world_by_default
 from ..units import quantity
 from .boxes import cells_of, table_of
 from .domain import BOUNDARIES, Domain
+
+# Of a hierarchy around electrodes.
+NESTING = 2  # cells of a level around the next finer one
+EFFICIENCY = 0.7  # least part of a box whose blocks were asked for
 
 
 def _index_boxes(level: int, boxes: Sequence[Sequence[Sequence[int]]] | np.ndarray) -> np.ndarray:
@@ -111,6 +117,42 @@ class Hierarchy:
             raise HierarchyError(str(refused)) from None
         self.domain = domain
 
+    @classmethod
+    @world_by_default
+    def around(
+        cls,
+        comm: MPI.Comm,
+        domain: Domain,
+        electrodes: Sequence[Conductor],
+        levels: int = 2,
+        edges: int = 4,
+        max_grid_size: int = 24,
+        blocking_factor: int = 8,
+        buffer: int = 2,
+    ) -> Hierarchy:
+        """Return a hierarchy with so many refined `levels` at surfaces of electrodes, and so many at their `edges`. Collective.
+
+        Strong curvature counts as an edge. `buffer` cells around the cells there are refined too. The refined region
+        depends neither on the number of ranks nor on `max_grid_size`. `comm` may be left out: all ranks.
+
+        Raises HierarchyError on all ranks for numbers that make no hierarchy, InputError where a shape fails on one.
+        """
+        most = max(_whole(levels, "levels"), _whole(edges, "edges"))
+        if min(levels, edges, _whole(buffer, "buffer")) < 0:
+            raise HierarchyError(
+                f"levels, edges and buffer are {levels}, {edges} and {buffer}; none of them may be negative"
+            )
+        hierarchy = cls(comm, domain, (), max_grid_size, blocking_factor)
+        for _ in range(most):  # each adds a level
+            marks = []
+            with together(hierarchy.comm, InputError):
+                for level in range(hierarchy.levels):
+                    beside = beside_surfaces if level < levels else beside_edges
+                    marks.append(hierarchy.marked_by(level, partial(beside, electrodes)).view(np.uint8))
+            boxes = _native.refine(hierarchy.native, marks, [], most + 1, buffer, NESTING, EFFICIENCY)
+            hierarchy = cls(comm, domain, boxes, max_grid_size, blocking_factor, earlier=hierarchy)
+        return hierarchy
+
     def seen_by(self, rank: int) -> Hierarchy:
         """Return the hierarchy of a virtual rank as another virtual rank of as many has it. Local.
 
@@ -175,6 +217,11 @@ class Hierarchy:
         """Number of this rank's cells of all levels."""
         own = ((self.boxes(level), self.local_boxes(level)) for level in range(self.levels))
         return sum(int(cells_of(boxes[local.start : local.stop]).sum()) for boxes, local in own)
+
+    def marked_by(self, level: int, mark: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
+        """Return what a function of this rank's boxes (n, 6) of a level, its origin and its spacing in m gives. Local."""
+        local = self.local_boxes(level)
+        return mark(self.boxes(level)[local.start : local.stop], self.lower, self.spacing(level))
 
     def same_mesh(self, other: Hierarchy) -> bool:
         """Whether both have the same domain and boxes; owners may differ."""

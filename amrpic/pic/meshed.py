@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..conductors.drive import NO_ELECTRODES, Drive
 from ..mesh.field import Field
 from ..mesh.hierarchy import Hierarchy
 from ..particles.energy_bins import Frames
 from ..particles.particles import Particles
+from ..space_charge.drive import NO_ELECTRODES, Drive
 from ..stages.deposit import Deposition
 from ..stages.migrate import migrate, shared_out_by_work
 from .setup import Setup

@@ -19,7 +19,7 @@ class Quantities(QuantitiesOnMesh):
     """Those of a beam: potential and field are carried over from the `last` solution; without one they are solved for."""
 
     def __init__(self, beam: MeshedParticles, last: Solution | None, setup: Setup) -> None:
-        super().__init__(beam.particles, beam.hierarchy)
+        super().__init__(beam.particles, beam.hierarchy, beam.drive.electrodes)
         self._beam, self._last, self._setup = beam, last, setup
 
     @property

@@ -11,7 +11,6 @@ import numpy as np
 from mpi4py import MPI
 
 from .. import _native
-from ..conductors.drive import NO_ELECTRODES, Drive
 from ..errors import InputError
 from ..external import ExternalFields, Maps, read_maps
 from ..mesh.window import Window
@@ -22,6 +21,7 @@ from ..run.clock import Clock
 from ..scene.electrodes import Electrode
 from ..scene.elements import MapElement
 from ..scene.scene import Scene
+from ..space_charge.drive import NO_ELECTRODES, Drive
 from ..space_charge.solvers import Solvers
 from ..stages.diagnostics import moments
 from ..stages.encounters import native_aperture, native_screen

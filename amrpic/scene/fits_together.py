@@ -6,12 +6,12 @@ import math
 
 from ..mesh.domain import AXES, FACES
 from .bunches import DescribedBunch
-from .complaints import complaint
+from .complaints import close_match, complaint
 from .domain import LARGEST_INDEX
 from .elements import ConstantFocusingElement
 from .obstacles import aperture_names, repeated_names
 from .parts import SceneParts
-from .refinement_rules import EmissionRule, StaticBox, StaticRule, every_rule
+from .refinement_rules import EmissionRule, RuleOfElectrodes, StaticBox, StaticRule, every_rule
 from .sources import WallSource
 
 MOST_BINS = 1_000_000  # of a map of losses
@@ -26,6 +26,7 @@ def check(scene: SceneParts) -> None:
         _name,
         _cells,
         _boxes,
+        _conductors,
         _places,
         _balance,
         _stretch,
@@ -101,6 +102,25 @@ def _box(scene: SceneParts, box: StaticBox, path: str) -> None:
                 path=path,
                 found=[box.first, box.last],
             )
+
+
+def _conductors(scene: SceneParts) -> None:
+    names = [electrode.name for electrode in scene.electrodes]
+    for path, rule in every_rule(scene.refinement.rule, "refinement.rule"):
+        if not isinstance(rule, RuleOfElectrodes):
+            continue
+        if not names:
+            raise complaint(
+                "refines at electrodes, of which the scene has none",
+                "add some, or use another rule",
+                path=f"{path}.kind",
+                found=rule.kind,
+            )
+        for number, name in enumerate(rule.electrodes or ()):
+            if name not in names:
+                raise complaint(
+                    "names no electrode", close_match(name, names), path=f"{path}.electrodes.{number}", found=name
+                )
 
 
 def _places(scene: SceneParts) -> None:

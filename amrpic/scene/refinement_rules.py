@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from .complaints import close_match, complaint
 from .section import Section
-from .units import ChargeDensity, FieldStrength, Index3, Length, Length3, Momentum, Potential
+from .units import Angle, ChargeDensity, FieldStrength, Index3, Length, Length3, Momentum, Potential
 
 #: What a function that tags cells may ask for by the names of its parameters; arrays are of one box.
 ARGUMENTS = {
@@ -157,6 +157,32 @@ class EmissionRule(Rule):
         return self.depth if self.depth is not None else (self.cells or 0) * width
 
 
+class RuleOfElectrodes(Rule):
+    """Tag at electrodes."""
+
+    electrodes: list[str] | None = Field(
+        default=None, min_length=1, description="Names of the electrodes; all if left out."
+    )
+
+
+class ConductorsRule(RuleOfElectrodes):
+    """Refine the cells at the surfaces of electrodes: those with a neighbour that metal hides from them."""
+
+    kind: Literal["conductors"] = "conductors"
+
+
+class ConductorEdgesRule(RuleOfElectrodes):
+    """Refine the cells at edges and strong curvature of electrodes, where fields are large."""
+
+    kind: Literal["conductor-edges"] = "conductor-edges"
+    angle: Angle = Field(
+        default=0.35,
+        gt=0,
+        lt=1.57,
+        description="An edge is where the normal of the metal turns by more than this angle, rad, over a cell and a half.",
+    )
+
+
 class CallableRule(Rule):
     """Refine where a Python function says so; from Python only, as files and checkpoints keep nothing but its name.
 
@@ -281,6 +307,8 @@ RuleKind = Annotated[
     | ParticlesRule
     | RadiusRule
     | EmissionRule
+    | ConductorsRule
+    | ConductorEdgesRule
     | CallableRule
     | StaticRule
     | AnyRule

@@ -19,7 +19,7 @@ from ..particles.clouds import SHAPES, Clouds, Shape, are_cubes, compensation_pa
 from ..particles.particles import Particles
 from ..scene.complaints import mistakes
 from ..scene.refinement import Refinement
-from ..scene.refinement_rules import CallableRule, MomentumRule, RuleKind, every_rule
+from ..scene.refinement_rules import CallableRule, MomentumRule, RuleKind, RuleOfElectrodes, every_rule
 from ..scene.solver_options import SolverSection
 from ..units import SPEED_OF_LIGHT
 from . import callers_arrays
@@ -337,6 +337,11 @@ def _section(kind: type[Any], **values: Any) -> Any:
     except ValidationError as refused:
         path, found, what, remedy = mistakes(refused, kind)[0]
         raise InputError(f"{path} is {found!r}, which {what}; {remedy}") from None
-    if isinstance(made, Refinement) and any(isinstance(one, MomentumRule) for _, one in every_rule(made.rule)):
-        raise InputError("rule looks at momenta, which no one gives; use another rule, such as charge-density")
+    for _, rule in every_rule(made.rule) if isinstance(made, Refinement) else ():
+        if isinstance(rule, MomentumRule):
+            raise InputError("rule looks at momenta, which no one gives; use another rule, such as charge-density")
+        if isinstance(rule, RuleOfElectrodes):
+            raise InputError(
+                "rule looks at electrodes, of which there are none; use another rule, such as charge-density"
+            )
     return made

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ..conductors.conductor import Conductor
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..particles.particles import Particles
@@ -22,8 +23,8 @@ class QuantitiesOnMesh(Mapping[str, Any]):
 
     NAMES = ("rho", "phi", "efield", "particles_per_cell")
 
-    def __init__(self, particles: Particles, hierarchy: Hierarchy) -> None:
-        self.particles, self.hierarchy = particles, hierarchy
+    def __init__(self, particles: Particles, hierarchy: Hierarchy, electrodes: Sequence[Conductor] = ()) -> None:
+        self.particles, self.hierarchy, self.electrodes = particles, hierarchy, tuple(electrodes)
         self._made: dict[str, Field | VectorField] = {}
 
     @property

@@ -7,7 +7,6 @@ from functools import reduce
 from operator import add
 from typing import NamedTuple
 
-from ..conductors.drive import NO_ELECTRODES, Drive, same_metal
 from ..errors import SolverError
 from ..mesh.field import Field, Function, VectorField
 from ..mesh.hierarchy import Hierarchy
@@ -16,6 +15,7 @@ from ..particles.energy_bins import Frames
 from ..particles.frame import LABORATORY, Frame
 from ..scene.solver_options import SolverSection
 from ..stages.poisson import PoissonSolver, SolveReport
+from .drive import NO_ELECTRODES, Drive, same_metal
 
 CONSTANT = ""  # name of what walls and constant voltages hold together
 

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
+from ..conductors.conductor import Conductor
+from ..conductors.refined import beside_edges, beside_surfaces
 from ..mesh.domain import AXES, Domain
 from ..mesh.hierarchy import Hierarchy
 from ..scene.refinement import Refinement
@@ -15,6 +18,8 @@ from ..scene.refinement_rules import (
     AnyRule,
     CallableRule,
     ChargeDensityRule,
+    ConductorEdgesRule,
+    ConductorsRule,
     EmissionRule,
     FieldStrengthRule,
     MomentumRule,
@@ -73,6 +78,13 @@ def _tags(rule: RuleKind, quantities: QuantitiesOnMesh, part: float) -> Tags:
             )
         case EmissionRule():
             return tag.inside(quantities.hierarchy, _layers(rule, quantities))
+        case ConductorsRule():
+            return tag.at_electrodes(
+                quantities.hierarchy, _named(quantities.electrodes, rule.electrodes), beside_surfaces
+            )
+        case ConductorEdgesRule():
+            beside = partial(beside_edges, angle=rule.angle)
+            return tag.at_electrodes(quantities.hierarchy, _named(quantities.electrodes, rule.electrodes), beside)
         case MomentumRule():
             return _by_momentum(rule, quantities, part)
         case RadiusRule():
@@ -99,6 +111,10 @@ def _layers(rule: EmissionRule, quantities: QuantitiesOnMesh) -> list[np.ndarray
             reach = np.where(np.arange(3) == axis, depth, 0.0)
             regions.append((level, lower - reach * side, upper + reach * (1 - side)))
     return tag.static_boxes(hierarchy.domain, regions)
+
+
+def _named(electrodes: Sequence[Conductor], names: Sequence[str] | None) -> list[Conductor]:
+    return [electrode for electrode in electrodes if names is None or electrode.name in names]
 
 
 def _over(at_most: float | None, part: float) -> float:

@@ -13,6 +13,7 @@ import scipy
 from pydantic import ValidationError
 
 from .. import _native, html
+from ..conductors.arms import Lattice
 from ..conductors.metal import MetalOnMesh, image_refusal
 from ..errors import SolverError
 from ..mesh.domain import BOUNDARIES
@@ -129,7 +130,7 @@ class PoissonSolver:
         self.electrodes = tuple(electrodes)
         if self.electrodes and (refusal := _electrodes_refusal(self.electrodes, hierarchy, chosen, mirror)):
             raise SolverError(refusal)
-        metal = MetalOnMesh(self.electrodes, hierarchy.domain, chosen.stretch) if self.electrodes else None
+        metal = MetalOnMesh(self.electrodes, hierarchy.domain.lower, chosen.stretch) if self.electrodes else None
         self._unit_potentials: list[Field] | None = None  # of each electrode at 1 V, when they are first needed
         self._unit_walls: list[list[np.ndarray]] = []  # what walls, open ones too, hold then
         self._units: list[
@@ -486,7 +487,7 @@ def _electrodes_refusal(
     free = all(face in ("periodic", "neumann") for faces in domain.boundary for face in faces)
     if free and all(electrode.floats for electrode in electrodes):
         return "all electrodes float between periodic and Neumann faces, so nothing fixes φ; give one of them a voltage"
-    return image_refusal(electrodes, domain)
+    return image_refusal(electrodes, Lattice.of(domain.lower, domain.spacing), domain.cells, domain.periodic)
 
 
 def _mirror_refusal(mirror: Mirror, hierarchy: Hierarchy, options: SolverOptions) -> str | None:

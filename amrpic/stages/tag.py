@@ -7,12 +7,15 @@ that a refined region stays refined while it still qualifies.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 from mpi4py import MPI
 
 from .. import _native
+from ..conductors.conductor import Conductor
+from ..conductors.refined import Beside
 from ..errors import HierarchyError, InputError
 from ..mesh.domain import Domain
 from ..mesh.field import Field, VectorField
@@ -197,6 +200,16 @@ def within(
         most = distance([np.minimum(o + half[axis], period(axis) / 2) for axis, o in offsets], units)
         patch.data[...] = (least <= at_most) & (most >= at_least)
     return [tags.array(level) > 0 for level in range(hierarchy.levels)]
+
+
+def at_electrodes(hierarchy: Hierarchy, electrodes: Sequence[Conductor], beside: Beside) -> Tags:
+    """Return the cells that lie beside electrodes as a function of `conductors.refined` has it. Collective.
+
+    Raises InputError on all ranks where a shape fails on one.
+    """
+    with together(hierarchy.comm, InputError):
+        tags = [hierarchy.marked_by(level, partial(beside, electrodes)) for level in range(hierarchy.levels)]
+    return tags
 
 
 def inside(hierarchy: Hierarchy, boxes: Sequence[np.ndarray]) -> Tags:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..conductors.surface import in_plane
+from ..conductors.surface import in_plane, outline
 from ..errors import InputError
 from ..io.field_reader import Dump
 from ..mesh.raster import Raster
@@ -22,14 +22,22 @@ PIXELS = 800  # along the longer side
 
 
 def metal_in(dump: Dump, raster: Raster) -> tuple[Array, Array] | None:
-    """Return which pixels of a slice lie in electrodes of a dump's scene, and through which surfaces go; None without any."""
+    """Return which pixels lie in electrodes of a dump's scene, and through which surfaces go; None without any.
+
+    Of what was summed up along an axis these are outlines of electrodes alone.
+    """
     shapes = _shapes(dump)
-    if raster.position is None or not shapes:
+    if not shapes:
         return None
     extent = raster.upper - raster.lower
-    pixels = tuple(np.maximum(np.rint(PIXELS * extent / extent.max()), 1).astype(int).tolist())
+    most = PIXELS if raster.position is not None else PIXELS // 2  # of an outline each pixel is a line
+    pixels = tuple(np.maximum(np.rint(most * extent / extent.max()), 1).astype(int).tolist())
     inside, surface = np.zeros((2, *pixels), bool)
+    depth = dump.lower[raster.axis], dump.upper[raster.axis]
     for shape in shapes:
+        if raster.position is None:
+            surface |= outline(shape, raster.axes, depth, raster.lower, raster.upper, pixels)
+            continue
         of_shape = in_plane(shape, raster.axes, raster.position, raster.lower, raster.upper, pixels)
         inside |= of_shape[0]
         surface |= of_shape[1]

@@ -124,6 +124,11 @@ SCENES = {
     ),
 }
 SCRIPTS = {
+    "cube_capacitance": Shown(
+        "Capacitance of a cube",
+        lambda _, picture: script("cube_capacitance", picture),
+        "levels at the edges, and the error for so many cells",
+    ),
     "gmls_cloud": Shown(
         "Scattered points", lambda _, picture: script("gmls_cloud", picture), "errors against the distance"
     ),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from amrpic import Domain, Electrode, shapes
-from amrpic.conductors.surface import in_plane, quadrilaterals
+from amrpic.conductors.surface import in_plane, outline, quadrilaterals
 from amrpic.io import surface_files
 
 FAR = (-9, -9, -9), (9, 9, 9)
@@ -66,6 +66,17 @@ def test_pixels_of_a_plane_are_those_inside_and_at_the_surface():
     foil, seen = in_plane(shapes.Disk((0, 0, 0), (0, 0, 1), 1.0), (2, 0), 0.0, (-1.5, -1.2), (1.5, 1.2), pixels)
     assert not foil.any() or foil.sum() <= pixels[1]
     assert seen.any(axis=0).sum() == pytest.approx(pixels[1] * 2 / 2.4, abs=2)
+
+
+def test_an_outline_is_the_rim_of_the_shadow_of_what_lies_in_the_depth():
+    pair = shapes.Sphere((0, 0, 0), 1.0) | shapes.Sphere((0, 3, 0), 1.2)
+    for depth, radius in (((-2.0, 1.5), 1.0), ((-2.0, 5.0), 1.2)):
+        rim = outline(pair, (2, 0), depth, (-1.5, -1.5), (1.5, 1.5), (120, 120))
+        distance = np.linalg.norm((np.argwhere(rim) + 0.5) * 3 / 120 - 1.5, axis=1)
+        assert distance.max() < radius and distance.min() > radius - 0.04
+        assert rim.sum() > 2 * np.pi * radius * 120 / 3 * 0.8
+    # What goes on beyond the picture has no rim there.
+    assert not outline(shapes.Box((-9,) * 3, (9,) * 3), (0, 1), (-1.0, 1.0), (-1, -1), (1, 1), (20, 20)).any()
 
 
 def test_the_vtk_file_has_the_faces_of_all_electrodes(tmp_path):

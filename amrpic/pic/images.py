@@ -38,7 +38,7 @@ def mirrored(frames: Frames, last: Frames, scene: Scene, window: Window) -> Fram
 
 
 def _is_at_wall(scene: Scene, axis: int, window: Window) -> bool:
-    """Whether the window rests at a wall that emits: for charge at rest in the laboratory it is a face of the mesh till then."""
+    """Whether the window rests at a wall that emits: for charge that is slow there it is a face of the mesh."""
     return window.origin[axis] == 0 and any(source.emits_at(axis) for source in scene.sources)
 
 

@@ -229,7 +229,7 @@ def _bunches(comm: MPI.Comm, scene: Scene, particles: Sequence[Particles], hiera
 
 
 def _births(setup: Setup, start: float) -> tuple[list[int], list[str]]:
-    """Return how many macroparticles sources give in a run whose time step is known, and the names of those no one knows it of."""
+    """Return how many macroparticles sources give in a run whose time step is known, and the names of those that tell none."""
     scene, dt = setup.scene, setup.scene.motion.dt
     if not isinstance(dt, float):
         return [], []

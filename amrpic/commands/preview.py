@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -44,7 +44,6 @@ from ..scene.refinement_rules import (
     RuleKind,
 )
 from ..scene.scene import Scene
-from ..scene.sources import GivenSource
 from ..space_charge.drive import Drive
 from ..stages.diagnostics import moments
 from ..stages.migrate import migrate
@@ -72,7 +71,7 @@ def preview(comm: MPI.Comm, scene: Scene, ranks: int, seconds: float = 0.0) -> s
     """
     prepare(comm, scene)
     setup, notes = _setup_without_solves(comm, scene)
-    base, course = make_base(setup.comm, scene), Course.of_scene(scene)
+    base, course = make_base(setup.comm, scene), Course.of_scene(scene, setup.emitters)
     begun = time.perf_counter()
     with progress("making particles"):
         bunches = [bunch.seen_from(course.window) for bunch in make_bunches(comm, scene)]
@@ -87,8 +86,10 @@ def preview(comm: MPI.Comm, scene: Scene, ranks: int, seconds: float = 0.0) -> s
     count = beam.particles.global_count(comm) + lost
     if lost:
         notes.append(f"{lost} of {count} particles lie outside the domain and would be lost")
-    born = sum(numbers := list(_births(scene, start)))
-    notes += [f"sources give {born} particles of given charge until the last step"] if numbers else []
+    known, unknown = _births(setup, start)
+    born = sum(known)
+    notes += [f"sources give {born} particles of given charge until the last step"] if known else []
+    notes += [f"what {', '.join(unknown)} gives is known in the run alone, and not counted"] if unknown else []
     if scene.motion.dt == "auto" and scene.sources:
         notes.append("motion.dt is chosen once the first field is known, which decides on particles of sources")
     else:
@@ -229,12 +230,18 @@ def _bunches(comm: MPI.Comm, scene: Scene, particles: Sequence[Particles], hiera
     return columns(rows) if scene.bunches else []
 
 
-def _births(scene: Scene, start: float) -> Iterator[int]:
-    """Yield how many macroparticles each source of given charge gives in a run whose time step is known."""
-    dt = scene.motion.dt
-    for source in scene.sources:
-        if isinstance(source, GivenSource) and isinstance(dt, float):
-            yield source.expected(start, start + scene.schedule.last_step * dt, dt)
+def _births(setup: Setup, start: float) -> tuple[list[int], list[str]]:
+    """Return how many macroparticles sources give in a run whose time step is known, and the names of those that tell none."""
+    scene, dt = setup.scene, setup.scene.motion.dt
+    if not isinstance(dt, float):
+        return [], []
+    stop = start + scene.schedule.last_step * dt
+    numbers = {
+        name: emitter.expected(start, stop, dt)
+        for name, emitter in zip(scene.source_names, setup.emitters, strict=True)
+    }
+    known = [number for number in numbers.values() if number is not None]
+    return known, [name for name, number in numbers.items() if number is None]
 
 
 def _memory(beam: MeshedParticles, particles: int, ranks: int, setup: Setup) -> list[str]:

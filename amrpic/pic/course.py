@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -16,6 +16,7 @@ from ..mesh.window import AT_REST, Vector, Window, vector, window_of
 from ..scene.scene import Scene
 from ..stages.push import pusher_of
 from ..units import SPEED_OF_LIGHT
+from .emitters import Emitter
 
 
 @dataclass(frozen=True)
@@ -72,8 +73,8 @@ class Course:
         return self.window.from_laboratory(np.where(along, self.reference.velocity, 0.0))
 
     @classmethod
-    def of_scene(cls, scene: Scene) -> Course:
-        """Return the course at the start of a scene."""
+    def of_scene(cls, scene: Scene, emitters: Sequence[Emitter] = ()) -> Course:
+        """Return the course at the start of a scene with these sources."""
         start = scene.reference
         if start is None:
             return cls()
@@ -82,21 +83,23 @@ class Course:
         if (axis := scene.window_axis) is None:
             return cls(reference)
         if not all(face == "open" for pair in scene.domain.boundary.values() for face in pair):
-            return cls(reference, goes=AXES[axis], start=reference.position[axis]).on_base_of(scene)
+            return cls(reference, goes=AXES[axis], start=reference.position[axis]).on_base_of(scene, emitters)
         window = _turned(AT_REST, reference, np.eye(3)[axis] * reference.momentum[axis], reference)
         return cls(reference, window, goes="turning")
 
-    def on_base_of(self, scene: Scene) -> Course:
-        """Return the course with a window that goes by the base cells of a scene, if it leaves a wall behind."""
+    def on_base_of(self, scene: Scene, emitters: Sequence[Emitter]) -> Course:
+        """Return the course with a window that goes by the base cells of a scene, if it leaves a wall behind: not before the
+        sources at that wall have ended, nor before the reference particle is in the middle.
+        """
         axis = scene.axis_of_wall_left
         if axis is None:
             return self
         out = replace(self, stride=float(scene.domain.value.spacing[axis]))
-        stops = [source.stop_time for source in scene.sources if source.emits_at(axis)]
-        if not stops:
+        stops = [emitter.stop_time for emitter in emitters if emitter.source.emits_at(axis)]
+        if not stops or self.window.origin != AT_REST.origin:
             return out
         middle = (scene.domain.lower[axis] + scene.domain.upper[axis]) / 2
-        return replace(out, start=max(self.start, middle), stays=max(stops))
+        return replace(out, start=max(self.start, middle), stays=max(0.0, *stops))
 
     def after(self, dt: float, time: float, external: ExternalFields, pusher: str) -> Course:
         """Return the course `dt` s later than `time` s, in fields of elements in the laboratory."""

@@ -73,6 +73,15 @@ class Emitter(ABC, Generic[Kind]):
         """Return a kinetic energy in J that particles are born with, about the largest."""
 
     @property
+    def stop_time(self) -> float:
+        """When the last particles are born, s, as far as that is known before."""
+        return self.source.stop_time
+
+    def expected(self, start: float, stop: float, dt: float) -> int | None:
+        """Return how many macroparticles are born between two times in s, by steps of `dt` s; None if no one knows before."""
+        return None
+
+    @property
     def extent(self) -> tuple[np.ndarray, np.ndarray] | None:
         """Corners (2,) in m, along its axes, of the surface that emits; None of a source without one."""
         return None
@@ -174,6 +183,9 @@ class OfSurface(Emitter[SurfaceKind]):
 
 class OfGivenCharge(OfSurface[GivenSource]):
     """Charge that is given in time."""
+
+    def expected(self, start: float, stop: float, dt: float) -> int:
+        return self.source.expected(start, stop, dt)
 
     def draws(self, first: int, last: int) -> np.ndarray:
         return draw(self.source.sampling, self._seed, self.first, first, last)
@@ -295,6 +307,13 @@ class OfFile(Emitter[FileSource]):
         super().__init__(source, first)
         self._births = births
         self._time = births.time + source.delay
+
+    @property
+    def stop_time(self) -> float:
+        return float(self._time.max(initial=super().stop_time))
+
+    def expected(self, start: float, stop: float, dt: float) -> int:
+        return len(self.numbers(Span(start, stop, 0)))
 
     def numbers(self, span: Span) -> range:
         return range(*np.searchsorted(self._time, (span.start, span.stop)).tolist())

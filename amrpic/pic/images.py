@@ -21,20 +21,25 @@ def mirrored(frames: Frames, last: Frames, scene: Scene, window: Window) -> Fram
     """
     domain, axis = scene.domain.value, scene.axis_of_wall_left
     fast = any(member.is_fast for member in frames.members)
-    if axis is None:
-        across = fast and bool(set(domain.boundary[frames.axis]) & set(SIGNS))
-        return replace(frames, mirror=Mirror.of_faces(domain, frames.axis) if across else None, leaves=False)
-    if fast and frames.axis != axis:
+    if axis is not None and fast and frames.axis != axis:
         raise InputError(
             f"the window leaves a wall across {AXES[axis]} behind, and particles faster than 0.1 c move along "
             f'{AXES[frames.axis]}, beside it; make the faces of {AXES[axis]} "open", or set motion.window to "none"'
         )
+    if axis is None or _is_at_wall(scene, axis, window):
+        across = fast and bool(set(domain.boundary[frames.axis]) & set(SIGNS))
+        return replace(frames, mirror=Mirror.of_faces(domain, frames.axis) if across else None, leaves=False)
     if last.leaves and last.mirror is not None and not last.mirror.reflects:
         return replace(frames, mirror=Mirror(axis), leaves=True)
     half = domain.spacing[axis] / 2
     mirror = Mirror.of_faces(domain, axis, half * float(np.round(window.origin[axis] / half)))
     _require_behind(mirror, domain)
     return replace(frames, mirror=mirror, leaves=True)
+
+
+def _is_at_wall(scene: Scene, axis: int, window: Window) -> bool:
+    """Whether the window rests at a wall that emits: for charge that is slow there it is a face of the mesh."""
+    return window.origin[axis] == 0 and any(source.emits_at(axis) for source in scene.sources)
 
 
 def _require_behind(mirror: Mirror, domain: Domain) -> None:

@@ -180,7 +180,7 @@ def _state(setup: Setup, held: Snapshot, stored: Hierarchy, hierarchy: Hierarchy
             field.array(level)[:] = values
     if hierarchy is not stored and not another:
         fields = {name: carry_over(field, hierarchy) for name, field in fields.items()}
-    course = Course.from_dict(extra["course"]).on_base_of(setup.scene)
+    course = Course.from_dict(extra["course"]).on_base_of(setup.scene, setup.emitters)
     step, time = held.header.step, held.header.time
     lost, screens = (_recorded(held.tables[of], species, extra["names"][of]) for of in ("lost", "screens"))
     drive = setup.solvers.drive = setup.drive(time, course.window, lost)
@@ -301,6 +301,8 @@ def _remarks(scene: Scene, header: Header) -> list[str]:
         out.append("bunches of the scene differ from those of the checkpoint, whose particles go on as they are")
     if scene.schedule.start is not None and scene.schedule.start != made_from["schedule"].get("start"):
         out.append(f"schedule.start has no effect: the run goes on at the {header.time:.6g} s of the checkpoint")
+    if any("map" not in tally for tally in header.extra.get("sources", ())):
+        out.append("maps of what sources gave begin at the checkpoint, whose earlier version kept none")
     changed = [
         f"{path} is {setting_text(value)}, before {setting_text(before)}"
         for part in FOLLOWED

@@ -52,7 +52,8 @@ def advance(state: State, setup: Setup) -> State:
 
 def begin(comm: MPI.Comm, scene: Scene, fields: Sequence[FieldFunction] = ()) -> tuple[State, Setup]:
     """Return the state before the first step, and the set-up of steps. Collective; InputError, SolverError on all ranks."""
-    setup, course = set_up(comm, scene, fields), Course.of_scene(scene)
+    setup = set_up(comm, scene, fields)
+    course = Course.of_scene(scene, setup.emitters)
     base = make_base(setup.comm, scene)
     with setup.clock("beam"):
         arrived, start, setup = _made(base, course, setup)

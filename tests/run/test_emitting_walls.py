@@ -11,7 +11,9 @@ from mpi4py import MPI
 from test_births import ordered
 
 from amrpic.errors import SceneError
+from amrpic.pic.course import Course
 from amrpic.pic.simulation import Simulation
+from amrpic.pic.tallies import Tallies
 from amrpic.scene.scene import Scene
 from amrpic.units import BOLTZMANN, ELECTRON_MASS, ELEMENTARY_CHARGE, VACUUM_PERMITTIVITY
 
@@ -289,7 +291,7 @@ def test_what_is_given_can_be_limited_by_space_charge(comm):
     assert found / child(100.0) == pytest.approx(1.00372, rel=0.01)
 
 
-@pytest.mark.mpi(ranks=(2, 4))
+@pytest.mark.mpi(ranks=(2, 4), timeout=600)
 def test_emission_is_the_same_on_any_ranks(comm):
     refinement: dict[str, Any] = {"levels": 1, "blocking_factor": 4, "regrid_every": 5}
     refinement |= {"rule": {"kind": "charge-density", "relative": 0.1}}
@@ -434,13 +436,14 @@ def gun(**changes: Any) -> Scene:
     return Scene.from_dict({**data, **changes})
 
 
-@pytest.mark.mpi(ranks=(1, 2))
+@pytest.mark.mpi(ranks=(1, 2), timeout=600)
 def test_window_bins_and_levels_go_together_with_a_source(comm, tmp_path):
     """Restarted amid emission bit by bit, no charge lost from sight, and the wall left behind as a mirror."""
     folder = comm.bcast(tmp_path)
     whole = Simulation(comm, gun())
     whole.advance(12)
     whole.checkpoint(folder / "amid")
+    assert not whole.state.solution.frames.leaves  # the wall that still emits is a face of the mesh
     assert 0 < whole.state.tallies.of[0].particles < 4000
     rest = Simulation.restart(comm, folder / "amid")
     whole.advance(38), rest.advance(38)
@@ -451,7 +454,42 @@ def test_window_bins_and_levels_go_together_with_a_source(comm, tmp_path):
     tally = whole.state.tallies.of[0]
     kept = whole.particles.total_charge(comm) + whole.lost.particles.total_charge(comm)
     assert tally.particles == 4000 and abs(kept - tally.charge) < 1e-13 * abs(tally.charge)
-    assert whole.window.origin[2] > 0
+    assert whole.window.origin[2] > 0 and whole.state.solution.frames.leaves
+
+
+def test_a_checkpoint_of_an_earlier_version_goes_on_the_same_way(tmp_path, monkeypatch):
+    """It has neither maps of sources nor when the window may leave."""
+    whole = Simulation(MPI.COMM_SELF, gun())
+    whole.advance(8)
+    course, tallies = whole.state.course.to_dict(), whole.state.tallies.to_list()
+    earlier = {key: value for key, value in course.items() if key not in ("stride", "start", "stays")}
+    monkeypatch.setattr(Course, "to_dict", lambda _: earlier)
+    without = [{key: value for key, value in tally.items() if key != "map"} for tally in tallies]
+    monkeypatch.setattr(Tallies, "to_list", lambda _: without)
+    whole.checkpoint(tmp_path / "earlier")
+    rest = Simulation.restart(MPI.COMM_SELF, tmp_path / "earlier")
+    assert rest.state.course == whole.state.course
+    assert any("maps of what sources gave begin at the checkpoint" in remark for remark in rest.remarks)
+    whole.advance(4), rest.advance(4)
+    np.testing.assert_array_equal(rest.particles.position, whole.particles.position)
+    assert rest.state.tallies.of[0].charge == whole.state.tallies.of[0].charge
+
+
+@pytest.mark.parametrize("late", ["0 s", "15 ps"])
+def test_the_window_rests_until_the_last_birth_of_a_file(tmp_path, late):
+    """Without a delay until the reference particle is in the middle."""
+    file = tmp_path / "births.ini"
+    table = np.zeros((50, 10))
+    table[:, 5], table[:, 6], table[:, 7], table[:, 9] = 1000.0, np.linspace(0, 8e-3, 50), -1e-9, -1
+    table[1:, 5] -= 1000.0
+    np.savetxt(file, table)
+    source = {"process": "file", "file": str(file), "face": "z_lower", "delay": late}
+    motion = {**gun().motion.model_dump(), "dt": "0.5 ps"}
+    run = Simulation(MPI.COMM_SELF, gun(sources=[source], motion=motion, refinement={"levels": 0}))
+    assert run.state.course.stays == pytest.approx(8e-12 + 1e-12 * float(late.split()[0]))
+    run.advance(50)
+    assert run.state.tallies.of[0].particles == 50 and not any("outside" in remark for remark in run.remarks)
+    assert run.window.origin[2] > 0
 
 
 @pytest.mark.long
@@ -464,7 +502,7 @@ def test_a_window_that_leaves_the_cathode_behind_has_the_bunch_of_a_long_mesh():
     one.advance(100), other.advance(100)
     here, there = (run.state.moments() for run in (one, other))
     assert one.window.origin[2] > 5e-4
-    np.testing.assert_allclose(here.rms, there.rms, rtol=0.012)
+    np.testing.assert_allclose(here.rms, there.rms, rtol=1e-4)
 
 
 @pytest.mark.long

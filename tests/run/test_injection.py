@@ -9,6 +9,7 @@ import pytest
 from mpi4py import MPI
 from test_births import GAP, SLOW, STEP, ordered, scene
 
+from amrpic.commands.preview import preview
 from amrpic.errors import InputError, SceneError
 from amrpic.pic.simulation import Simulation
 from amrpic.scene.scene import Scene
@@ -104,6 +105,17 @@ def test_a_function_gives_what_is_born(comm, tmp_path):
     age = STEP * (10 - (np.arange(40) + 0.5) / 4)
     np.testing.assert_allclose(table[:, 3], SLOW * age, rtol=1e-4)
     assert whole.state.tallies.of[0].charge == pytest.approx(-80 * ELEMENTARY_CHARGE)
+
+
+def test_a_preview_counts_an_injected_beam_and_calls_no_function(tmp_path):
+    def never(start: float, stop: float) -> Any:
+        raise AssertionError("called")
+
+    beam = injected({"current": "-1 A", "per_step": 20}).sources[0]
+    both = scene({}, sources=[beam, {"process": "function", "name": "own", "function": never}])
+    text = preview(MPI.COMM_SELF, both.replace(output={"directory": str(tmp_path), "write": []}), 1)
+    assert "sources give 400 particles of given charge until the last step" in text
+    assert "what own gives is known in the run alone, and not counted" in text
 
 
 @pytest.mark.parametrize(

@@ -50,7 +50,7 @@ def image_refusal(
     electrodes: Sequence[Conductor], lattice: Lattice, cells: Sequence[int], periodic: Sequence[bool]
 ) -> str | None:
     """Return why electrodes at periodic faces are refused, and what to do: metal has to go on alike through them."""
-    for axis in np.flatnonzero(periodic):
+    for axis in (axis for axis in range(3) if periodic[axis]):
         layers = []  # of cells inside and outside, at both faces
         for index in (-1, 0, cells[axis] - 1, cells[axis]):
             first, last = np.zeros(3, int), np.array(cells) - 1

@@ -69,6 +69,7 @@ ORDER = (
     "isa",
     "_native",
     "units",
+    "arithmetic",
     "shapes",
     "html",
     "failure",

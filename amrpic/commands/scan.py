@@ -7,9 +7,12 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from ..drivers.scan import PICTURE, SHOWN, TABLE, Row, drawn, scan, values_of
+from ..drivers.evaluate import assignments
+from ..drivers.scan import PICTURE, SHOWN, TABLE, Row, combinations, drawn, scan, values_of
 from ..errors import InputError
+from ..scene.any_scene import read_data
 from .arguments import Commands, command, count
+from .methods import scene_from
 from .text_table import columns
 
 FAILED = 1  # exit status, if a run has failed
@@ -42,9 +45,7 @@ def _scan(chosen: argparse.Namespace) -> int:
     """Return 0 if all runs have ended well. On one rank: it starts those of the runs."""
     if MPI.COMM_WORLD.size > 1:
         raise InputError("amrpic scan starts the ranks of its runs itself; leave mpiexec out, and use --ranks")
-    values = dict(values_of(assignment) for assignment in chosen.set)
-    if not values:
-        raise InputError("nothing is set; give --set KEY=VALUE,VALUE,… for at least one key")
+    values = _values(chosen)
     folder = Path(chosen.output or f"runs/{Path(chosen.scene).stem}_scan")
     rows: list[Row] = []
     for row in scan(chosen.scene, values, folder, chosen.ranks):
@@ -56,12 +57,29 @@ def _scan(chosen: argparse.Namespace) -> int:
             flush=True,
         )
     shown = chosen.show or [name for name in SHOWN if any(row.numbers.get(name) for row in rows)]
+    columns_of_runs = dict.fromkeys(name for row in rows for name in row.numbers)
+    if columns_of_runs and (unknown := [name for name in shown if name not in columns_of_runs]):
+        raise InputError(f"--show {unknown[0]}: no run has such a column; choose among {', '.join(columns_of_runs)}")
     head = [*values, *shown]
     print(*columns([head, *([*row.inputs.values(), *(_brief(row, name) for name in shown)] for row in rows)]), sep="\n")
-    if any(row.numbers for row in rows):
+    if columns_of_runs:
         drawn([row for row in rows if row.numbers], shown).savefig(folder / PICTURE, dpi=120)
-    print(f"{folder / TABLE} has all numbers, {PICTURE} beside it a picture")
+        print(f"{folder / TABLE} has all numbers, {PICTURE} beside it a picture")
     return FAILED if any(row.failure for row in rows) else 0
+
+
+def _values(chosen: argparse.Namespace) -> dict[str, list[str]]:
+    """Return the values of each key. InputError or SceneError for those that the scene cannot have."""
+    values: dict[str, list[str]] = {}
+    for key, several in map(values_of, chosen.set):
+        if key in values:
+            raise InputError(f"--set {key} is given twice; write all its values into one, such as {key}=1,2")
+        values[key] = several
+    if not values:
+        raise InputError("nothing is set; give --set KEY=VALUE,VALUE,… for at least one key")
+    for inputs in combinations(values):
+        scene_from(read_data(chosen.scene, assignments(inputs)), chosen.scene)
+    return values
 
 
 def _brief(row: Row, name: str) -> str:

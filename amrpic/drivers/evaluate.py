@@ -15,14 +15,16 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import AmrpicError, InputError
+from ..errors import AmrpicError, InputError, OutputError
 from ..io import time_series
-from ..io.atomic_files import temporary
+from ..io.run_status import FILE as STATUS
 from ..io.run_status import FINISHED, RunStatus
 from ..results.run_results import rows_of
 from ..scene import toml
+from ..scene.any_scene import read_text
 
-SETTINGS = "settings.json"
+SETTINGS, LOG = "settings.json", "log.txt"  # what was set; what the run printed
+PROGRAM = "amrpic: "  # begins what a command says when it fails
 ALL = "all"  # the group of beam.csv that has all particles
 DIGITS = 12  # of the name of a folder
 
@@ -43,53 +45,65 @@ def evaluate(
     It can be called from many threads at once. InputError for a scene or an input that cannot be, AmrpicError for a run that
     fails.
     """
-    path = run(inputs, scene, Path(folder) / name_of(inputs, scene), ranks)
-    numbers = last_of(path)
+    numbers = last_of(run(inputs, scene, Path(folder), ranks))
     if outputs is None:
         return numbers
     if unknown := [name for name in outputs if name not in numbers]:
-        raise InputError(f"{path} has no {unknown[0]}; choose among {', '.join(numbers)}")
+        raise InputError(f"there is no {unknown[0]} in the tables of the run; choose among {', '.join(numbers)}")
     return {name: numbers[name] for name in outputs}
 
 
+def run(
+    inputs: Mapping[str, Any],
+    scene: str | os.PathLike[str],
+    folder: Path,
+    ranks: int = 1,
+    timeout: float | None = None,
+) -> Path:
+    """Run a scene with some inputs in a folder of its own inside `folder`, and return that one.
+
+    A run that has ended there is not repeated; one that was cut off goes on from its newest checkpoint. `timeout` in s: the run
+    stops before, after a checkpoint, and AmrpicError says so.
+    """
+    own = folder / name_of(inputs, scene)
+    if is_done(own):
+        return own
+    try:
+        own.mkdir(parents=True, exist_ok=True)
+        (own / SETTINGS).write_text(_recorded(inputs, scene), encoding="utf-8")
+    except OSError as reason:
+        raise OutputError(f"folder {own} cannot be written ({reason.strerror}); choose another one") from None
+    command = [sys.executable, "-c", "from amrpic.commands.main import main; main()", "run", str(scene)]
+    command += [part for assignment in assignments(inputs) for part in ("--set", assignment)]
+    command += ["--output", str(own), "--restart", "auto"]
+    command += [] if timeout is None else ["--walltime", f"{timeout} s"]
+    if ranks > 1:
+        if (mpiexec := shutil.which("mpiexec")) is None:
+            raise InputError(f"{ranks} ranks are asked for, but there is no mpiexec; install an MPI, or use one rank")
+        command = [mpiexec, "-n", str(ranks), *command]
+    # The run writes into a file, not into a pipe: after Ctrl-C it outlives this process until its checkpoint is written.
+    with (
+        open(own / LOG, "w", encoding="utf-8") as log,
+        subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT, env=_environment()) as process,
+    ):
+        status = process.wait()
+    if status != 0:
+        lines = (own / LOG).read_text(encoding="utf-8", errors="replace").split("\n")
+        said = next((line.removeprefix(PROGRAM) for line in lines if line.startswith(PROGRAM)), "")
+        raise AmrpicError(f"the run in {own} ended with status {status}: {said or f'see {LOG} there'}")
+    return own
+
+
 def name_of(inputs: Mapping[str, Any], scene: str | os.PathLike[str]) -> str:
-    """Return what the run of a scene with these inputs is called."""
+    """Return the name of a run's folder, another one for each text of the scene's file and for all inputs."""
     digest = hashlib.sha256(_recorded(inputs, scene).encode()).hexdigest()[:DIGITS]
     name = re.sub(r"[^\w-]", "_", Path(scene).stem)
     return f"{name}_{digest}"
 
 
-def run(inputs: Mapping[str, Any], scene: str | os.PathLike[str], folder: Path, ranks: int = 1) -> Path:
-    """Run a scene with some inputs in a folder, unless that has been done or go on where it stopped; return the folder."""
-    recorded = _recorded(inputs, scene)
-    if is_done(inputs, scene, folder):
-        return folder
-    settings = folder / SETTINGS
-    same = settings.exists() and settings.read_text(encoding="utf-8") == recorded
-    assignments = [part for key, value in inputs.items() for part in ("--set", f"{key}={assigned(value)}")]
-    command = [sys.executable, "-c", "from amrpic.commands.main import main; main()", "run", str(scene), *assignments]
-    command += ["--output", str(folder), *(["--restart", "auto"] if same else [])]
-    if ranks > 1:
-        if (mpiexec := shutil.which("mpiexec")) is None:
-            raise InputError(f"{ranks} ranks are asked for, but there is no mpiexec; install an MPI, or use one rank")
-        command = [mpiexec, "-n", str(ranks), *command]
-    ended = subprocess.run(command, capture_output=True, text=True, env=_environment(), check=False)
-    if folder.is_dir():
-        temporary(settings).write_text(recorded, encoding="utf-8")
-        os.replace(temporary(settings), settings)
-    if ended.returncode != 0:
-        lines = [line for line in ended.stderr.strip().splitlines() if line.strip()]
-        message = next((line for line in lines if line.startswith("amrpic:")), lines[-1] if lines else "no message")
-        raise AmrpicError(f"the run in {folder} ended with status {ended.returncode}: {message[:400]}")
-    return folder
-
-
-def is_done(inputs: Mapping[str, Any], scene: str | os.PathLike[str], folder: Path) -> bool:
-    """Whether the run of a scene with these inputs has ended in a folder."""
-    settings = folder / SETTINGS
-    if not settings.exists() or settings.read_text(encoding="utf-8") != _recorded(inputs, scene):
-        return False
-    return RunStatus.read(folder).state == FINISHED
+def is_done(folder: Path) -> bool:
+    """Whether the run in a folder has ended."""
+    return (folder / STATUS).exists() and RunStatus.read(folder).state == FINISHED
 
 
 def last_of(folder: Path) -> dict[str, float]:
@@ -105,8 +119,12 @@ def last_of(folder: Path) -> dict[str, float]:
     return numbers
 
 
-def assigned(value: Any) -> str:
-    """Return a value as `--set` takes it."""
+def assignments(inputs: Mapping[str, Any]) -> list[str]:
+    """Return inputs as `--set` takes them."""
+    return [f"{key}={_assigned(value)}" for key, value in inputs.items()]
+
+
+def _assigned(value: Any) -> str:
     if isinstance(value, np.generic | np.ndarray):
         value = value.tolist()
     return value if isinstance(value, str) else toml.text(value)
@@ -118,13 +136,9 @@ def _is_number(value: Any) -> bool:
 
 def _recorded(inputs: Mapping[str, Any], scene: str | os.PathLike[str]) -> str:
     """Return inputs and the text of a scene, which say whether a run is the same."""
-    try:
-        text = Path(scene).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as refused:
-        raise InputError(f"scene file {scene} cannot be read ({refused}); check the path") from None
-    assignments = {key: assigned(value) for key, value in inputs.items()}
-    digest = hashlib.sha256(text.encode()).hexdigest()
-    return json.dumps({"scene": digest, "inputs": dict(sorted(assignments.items()))}, indent=1)
+    text = read_text(scene)
+    values = {key: _assigned(inputs[key]) for key in sorted(inputs)}
+    return json.dumps({"scene": hashlib.sha256(text.encode()).hexdigest(), "inputs": values}, indent=1)
 
 
 def _environment() -> dict[str, str]:

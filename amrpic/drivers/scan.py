@@ -6,7 +6,7 @@ import csv
 import itertools
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from ..errors import AmrpicError, InputError
 from ..io.atomic_files import temporary
-from .evaluate import last_of, name_of, run
+from .evaluate import last_of, run
 
 TABLE, PICTURE = "scan.csv", "scan.png"
 SHOWN = ("rms_x", "rms_y", "rms_z", "emittance_x", "emittance_y", "emittance_z", "lost_particles")
@@ -26,8 +26,8 @@ class Row:
     """A run of a scan: what was set, and its numbers, or why it failed."""
 
     inputs: Mapping[str, str]
-    folder: Path
-    numbers: Mapping[str, float]
+    folder: str = ""  # its name in that of the scan
+    numbers: Mapping[str, float] = field(default_factory=dict)
     failure: str = ""
 
 
@@ -53,6 +53,11 @@ def values_of(assignment: str) -> tuple[str, list[str]]:
     return key.strip(), values
 
 
+def combinations(values: Mapping[str, Sequence[str]]) -> list[dict[str, str]]:
+    """Return all combinations of values, the last key's changing fastest."""
+    return [dict(zip(values, chosen, strict=True)) for chosen in itertools.product(*values.values())]
+
+
 def scan(
     scene: str | os.PathLike[str], values: Mapping[str, Sequence[str]], folder: Path, ranks: int = 1
 ) -> Iterator[Row]:
@@ -61,13 +66,12 @@ def scan(
     After each the table in the folder is written anew.
     """
     rows: list[Row] = []
-    for combination in itertools.product(*values.values()):
-        inputs = dict(zip(values, combination, strict=True))
-        own = folder / name_of(inputs, scene)
+    for inputs in combinations(values):
         try:
-            row = Row(inputs, own, last_of(run(inputs, scene, own, ranks)))
+            own = run(inputs, scene, folder, ranks)
+            row = Row(inputs, own.name, last_of(own))
         except AmrpicError as failure:
-            row = Row(inputs, own, {}, str(failure))
+            row = Row(inputs, failure=str(failure))
         rows.append(row)
         write_table(rows, folder / TABLE)
         yield row
@@ -82,7 +86,7 @@ def write_table(rows: Sequence[Row], path: Path) -> None:
         table.writerow([*rows[0].inputs, *names, "folder", "failure"])
         for row in rows:
             numbers = [row.numbers.get(name, "") for name in names]
-            table.writerow([*row.inputs.values(), *numbers, row.folder.name, row.failure])
+            table.writerow([*row.inputs.values(), *numbers, row.folder, row.failure])
     os.replace(temporary(path), path)
 
 

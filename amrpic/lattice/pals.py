@@ -12,10 +12,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from ..arithmetic import number
 from ..errors import InputError
 from ..particles.species import SPECIES, Species
 from ..units import ELEMENTARY_CHARGE, SPEED_OF_LIGHT
-from .arithmetic import number
 from .pieces import Beamline, Hole, LatticePiece
 
 Definition = Mapping[str, Any]

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import ast
-import operator
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
+from ..arithmetic import OPERATORS, parsed, value
 from .complaints import complaint
 
 FUNCTIONS: dict[str, Callable[..., Any]] = {
@@ -17,15 +17,6 @@ FUNCTIONS: dict[str, Callable[..., Any]] = {
 } | {"abs": np.abs, "min": np.minimum, "max": np.maximum}
 CONSTANTS = {"pi": np.pi}
 COORDINATES = ("x", "y", "z")
-_BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
-    ast.Add: operator.add,
-    ast.Sub: operator.sub,
-    ast.Mult: operator.mul,
-    ast.Div: operator.truediv,
-    ast.Pow: operator.pow,
-}
-_UNARY: dict[type[ast.unaryop], Callable[[Any], Any]] = {ast.UAdd: operator.pos, ast.USub: operator.neg}
-
 Value = np.ndarray | float
 
 
@@ -35,22 +26,22 @@ def formula(text: str, variables: Sequence[str] = COORDINATES) -> Callable[..., 
     Nothing but arithmetic, `pi` and the functions of `FUNCTIONS` is understood; anything else is a complaint.
     """
     try:
-        tree = ast.parse(text.replace("^", "**"), mode="eval").body
+        tree = parsed(text)
     except (SyntaxError, ValueError):
         raise complaint("is no formula", 'write one such as "1e6*(x^2 - y^2)"', found=text) from None
     _check(tree, text, variables)
-    return lambda *values: _value(tree, {**CONSTANTS, **dict(zip(variables, values, strict=True))})
+    return lambda *values: value(tree, {**CONSTANTS, **dict(zip(variables, values, strict=True))}, FUNCTIONS)
 
 
 def _check(node: ast.expr, text: str, variables: Sequence[str]) -> None:
     match node:
-        case ast.Constant(value=int() | float()):
+        case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
             return
         case ast.Name(id=name) if name in CONSTANTS or name in variables:
             return
-        case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
+        case ast.BinOp(left=left, op=op, right=right) if type(op) in OPERATORS:
             parts = [left, right]
-        case ast.UnaryOp(op=op, operand=operand) if type(op) in _UNARY:
+        case ast.UnaryOp(op=op, operand=operand) if type(op) in OPERATORS:
             parts = [operand]
         case ast.Call(func=ast.Name(id=name), args=parts, keywords=[]) if name in FUNCTIONS:
             expected = 2 if name in ("min", "max", "arctan2", "hypot") else 1
@@ -67,18 +58,3 @@ def _check(node: ast.expr, text: str, variables: Sequence[str]) -> None:
             )
     for part in parts:
         _check(part, text, variables)
-
-
-def _value(node: ast.expr, names: dict[str, Value]) -> Value:
-    match node:
-        case ast.Constant(value=number):
-            return float(number)  # type: ignore[arg-type]
-        case ast.Name(id=name):
-            return names[name]
-        case ast.BinOp(left=left, op=op, right=right):
-            return _BINARY[type(op)](_value(left, names), _value(right, names))
-        case ast.UnaryOp(op=op, operand=operand):
-            return _UNARY[type(op)](_value(operand, names))
-        case ast.Call(func=ast.Name(id=name), args=parts):
-            return FUNCTIONS[name](*(_value(part, names) for part in parts))
-    raise AssertionError(ast.dump(node))

@@ -13,6 +13,7 @@ from ..errors import InputError
 
 FARTHEST = 1e30  # m: beyond it products of lengths leave the range of numbers
 MOST_CHARGE = 1e30  # C, in one macroparticle
+MOST_GAMMA = 1e12  # far beyond any beam
 NAMES = ("x", "y", "z")
 
 
@@ -88,6 +89,14 @@ def require_charges(sums: ColumnSums) -> None:
         )
 
 
+def lorentz_factor(value: Any, name: str) -> float:
+    """Return a Lorentz factor. InputError for what is none."""
+    found = number(value, name, least=1)
+    if found > MOST_GAMMA:
+        raise InputError(f"{name} is {found}; give at most {MOST_GAMMA:g}")
+    return found
+
+
 def number(value: Any, name: str, least: float = -np.inf, above: float = -np.inf) -> float:
     """Return one finite number; InputError for anything else, and below `least` or not above `above`."""
     found = _reals(value, name)
@@ -107,6 +116,17 @@ def number_or_column(value: Any, name: str, count: int) -> np.ndarray | float:
         return float(found)
     if found.shape != (count,):
         raise InputError(f"{name} has the shape {found.shape}, but x ({count},); give one number, or one per particle")
+    return found
+
+
+def finite_or_column(value: Any, name: str, count: int, alive: Any = None) -> np.ndarray | float:
+    """Return one finite number, or one for each of so many particles, finite for those that live. InputError for others."""
+    found = number_or_column(value, name, count)
+    living = found if alive is None or np.ndim(found) == 0 else np.asarray(found)[np.asarray(alive)]
+    if not np.isfinite(living).all():
+        raise InputError(
+            f"{name} holds values that are not finite; correct them, or leave these particles out by alive"
+        )
     return found
 
 

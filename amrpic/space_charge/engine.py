@@ -154,7 +154,7 @@ class SpaceCharge:
 
         def factors(count: int, gamma: float) -> tuple[float, float, float]:
             path, beta = callers_arrays.number(length, "length"), callers_arrays.number(beta0, "beta0", above=0)
-            ratios.append(callers_arrays.number_or_column(charge_to_mass, "charge_to_mass", count))
+            ratios.append(callers_arrays.finite_or_column(charge_to_mass, "charge_to_mass", count, alive))
             if abs(beta - np.sqrt(1 - gamma**-2)) > 1e-6:
                 raise InputError(f"beta0 is {beta}, but gamma0 = {gamma} means {np.sqrt(1 - gamma**-2)}; correct one")
             along = path / (beta**2 * SPEED_OF_LIGHT**2 * gamma)
@@ -162,7 +162,9 @@ class SpaceCharge:
 
         out, _ = self._times(factors, x, y, z, charge, gamma0, None, alive, "gamma0")
         for column in out.T:
-            column *= ratios[0]
+            np.multiply(
+                column, ratios[0], out=column, where=True if alive is None else np.asarray(alive)
+            )  # the others have 0
         return out
 
     @property
@@ -201,7 +203,7 @@ class SpaceCharge:
         order, others, placing = self._order, self._order_of_places, self._placing
         with together(comm, InputError):
             given = callers_arrays.particles(x, y, z, charge, alive)
-            lorentz = callers_arrays.number(gamma, name, least=1)
+            lorentz = callers_arrays.lorentz_factor(gamma, name)
             places = None if at is None else callers_arrays.other_places(at)
             times = factors(len(given), lorentz)
             before = Coordinates(placing.centre, lorentz)

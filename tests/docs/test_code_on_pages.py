@@ -64,18 +64,6 @@ steps = 40
 [output]
 write = ["series", "checkpoint", "losses", "particles"]
 """
-PAGES = {
-    "README": Page(shorter="--set bunches.0.particles=20000 --set domain.cells=48", needs=("pandas", "xarray")),
-    "batch": Page(),
-    "diagnostics": Page(("scene",), needs=("pandas",), files={"scene.toml": BASE + LOSSY}),
-    "elements": Page(shorter="--set schedule.steps=3 --set bunches.0.particles=500"),
-    "following": Page(("first", "drift", "drift_on_one_rank"), loosely=True),
-    "halo": Page(shorter=f"--set schedule.steps=5 {SMALL}", needs=("pandas",)),
-    "mpm": Page(shorter="--set schedule.steps=2 --set faces.z.1.press=0.002"),
-    "losses": Page(("scene",), needs=("pandas", "beamphysics")),
-    "outputs": Page(("first",)),
-    "sources": Page(("waist",), needs=("beamphysics",)),
-}
 MOVES = """
 [motion]
 kind = "leapfrog"
@@ -89,6 +77,18 @@ write = ["series", "checkpoint", "fields", "particles"]
 fields_every = 10
 checkpoint_every = 10
 """
+PAGES = {
+    "README": Page(shorter="--set bunches.0.particles=20000 --set domain.cells=48", needs=("pandas", "xarray")),
+    "batch": Page(files={"first.toml": BASE + MOVES}),
+    "diagnostics": Page(("scene",), needs=("pandas",), files={"scene.toml": BASE + LOSSY}),
+    "elements": Page(shorter="--set schedule.steps=3 --set bunches.0.particles=500"),
+    "following": Page(("first", "drift", "drift_on_one_rank"), loosely=True),
+    "halo": Page(shorter=f"--set schedule.steps=5 {SMALL}", needs=("pandas",)),
+    "mpm": Page(shorter="--set schedule.steps=2 --set faces.z.1.press=0.002"),
+    "losses": Page(("scene",), needs=("pandas", "beamphysics")),
+    "outputs": Page(("first",)),
+    "sources": Page(("waist",), needs=("beamphysics",)),
+}
 RUNS = {  # what pages look at, by the folder in `runs`
     "scene": BASE + LOSSY,
     "first": BASE + MOVES,

@@ -228,6 +228,9 @@ def test_what_does_not_live_may_hold_anything():
         assert (found[~alive] == 0).all() and found[alive] == pytest.approx(
             expected, rel=1e-3, abs=1e-3 * np.abs(found).max()
         )
+    ratios = np.where(alive, 1e8, np.nan)
+    kicks = charges.kick(*places.T, CHARGE, 1.0, 0.6, 1.25, ratios, alive=alive)
+    assert (kicks[~alive] == 0).all() and (kicks[alive] != 0).all()
     fewer = alive & (np.arange(len(places)) % 3 > 0)
     assert (charges.field(*places.T, CHARGE, alive=fewer)[~fewer] == 0).all()
     assert charges.field(*places[alive].T, CHARGE) == pytest.approx(expected, rel=1e-2, abs=1e-2 * np.abs(found).max())
@@ -315,11 +318,14 @@ BAD = {
     "alive of another length": lambda p: p.field([0.0], [0.0], [0.0], 1.0, alive=np.ones(2, dtype=bool)),
     "alive of numbers": lambda p: p.field([0.0], [0.0], [0.0], 1.0, alive=[1]),
     "gamma below 1": lambda p: p.field([0.0], [0.0], [0.0], 1.0, gamma=0.5),
+    "gamma of 1e300": lambda p: p.field([0.0], [0.0], [0.0], 1.0, gamma=1e300),
     "gamma of an array": lambda p: p.field([0.0], [0.0], [0.0], 1.0, gamma=[1.0]),
     "two arrays of places": lambda p: p.field([0.0], [0.0], [0.0], 1.0, at=([0.0], [0.0])),
     "places that are nan": lambda p: p.field([0.0], [0.0], [0.0], 1.0, at=([0.0], [np.nan], [0.0])),
     "beta that does not fit": lambda p: p.kick([0.0], [0.0], [0.0], 1.0, 1.0, 0.5, 3.0, 1.0),
     "length nan": lambda p: p.kick([0.0], [0.0], [0.0], 1.0, np.nan, 0.6, 1.25, 1.0),
+    "charge to mass nan": lambda p: p.kick([0.0], [0.0], [0.0], 1.0, 1.0, 0.6, 1.25, np.nan),
+    "one charge to mass inf": lambda p: p.kick([0.0, 1.0], [0.0] * 2, [0.0] * 2, 1.0, 1.0, 0.6, 1.25, [1.0, np.inf]),
     "charge to mass": lambda p: p.kick([0.0], [0.0], [0.0], 1.0, 1.0, 0.6, 1.25, [1.0, 2.0]),
 }
 

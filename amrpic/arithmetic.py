@@ -1,4 +1,4 @@
-"""Numbers that are written as expressions."""
+"""Arithmetic in words: expressions of numbers, names and functions, as scenes and lattices hold them."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ import operator
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from ..errors import InputError
-from ..units import ELEMENTARY_CHARGE, SPEED_OF_LIGHT
+from .errors import InputError
+from .units import ELEMENTARY_CHARGE, SPEED_OF_LIGHT
 
 CONSTANTS = {"pi": math.pi, "twopi": 2 * math.pi, "c_light": SPEED_OF_LIGHT, "e_charge": ELEMENTARY_CHARGE}
 FUNCTIONS: dict[str, Callable[..., float]] = {
     name: getattr(math, name)
     for name in ("sqrt", "exp", "log", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh")
 } | {"abs": abs}
-OPERATORS: dict[type[ast.AST], Callable[..., float]] = {
+OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
     ast.Mult: operator.mul,
     ast.Div: operator.truediv,
-    ast.Pow: math.pow,
+    ast.Pow: operator.pow,
     ast.USub: operator.neg,
     ast.UAdd: operator.pos,
 }
@@ -32,29 +32,33 @@ def number(written: Any, where: str, names: Mapping[str, float]) -> float:
     if isinstance(written, bool) or not isinstance(written, int | float | str):
         raise InputError(f"{where} is {written!r:.60}; give a number")
     try:
-        value = float(written) if not isinstance(written, str) else _value(_parsed(written), {**CONSTANTS, **names})
+        found = written if not isinstance(written, str) else value(parsed(written), {**CONSTANTS, **names}, FUNCTIONS)
+        found = float(found)
     except (SyntaxError, ArithmeticError, ValueError, TypeError, KeyError, RecursionError) as refused:
         what = f"{refused.args[0]!r} is unknown" if isinstance(refused, KeyError) else "no expression of numbers"
         raise InputError(f"{where} is {written!r:.60}: {what}; give a number") from None
-    if not math.isfinite(value):
+    if not math.isfinite(found):
         raise InputError(f"{where} is {written!r:.60}; give a finite number")
-    return value
+    return found
 
 
-def _parsed(written: str) -> ast.AST:
+def parsed(written: str) -> ast.expr:
+    """Return the tree of an expression, in which ^ and ** are powers. SyntaxError or ValueError for what is none."""
     return ast.parse(written.replace("^", "**").strip(), mode="eval").body
 
 
-def _value(node: ast.AST, names: Mapping[str, float]) -> float:
+def value(node: ast.expr, names: Mapping[str, Any], functions: Mapping[str, Callable[..., Any]]) -> Any:
+    """Return what a tree comes to; names may be numbers or arrays. KeyError for an unknown name, ValueError for what is no
+    arithmetic."""
     match node:
-        case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
-            return float(value)
+        case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
+            return float(number)
         case ast.Name(id=name):
             return names[name]
         case ast.BinOp(left=left, op=op, right=right) if type(op) in OPERATORS:
-            return OPERATORS[type(op)](_value(left, names), _value(right, names))
+            return OPERATORS[type(op)](value(left, names, functions), value(right, names, functions))
         case ast.UnaryOp(op=op, operand=operand) if type(op) in OPERATORS:
-            return OPERATORS[type(op)](_value(operand, names))
-        case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]) if name in FUNCTIONS:
-            return FUNCTIONS[name](*(_value(one, names) for one in arguments))
-    raise ValueError
+            return OPERATORS[type(op)](value(operand, names, functions))
+        case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]) if name in functions:
+            return functions[name](*(value(part, names, functions) for part in arguments))
+    raise ValueError(ast.unparse(node))

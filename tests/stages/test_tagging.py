@@ -562,14 +562,16 @@ def blocks(language: str) -> list[str]:
 
 
 def test_examples_of_the_page_on_refinement_are_scenes():
+    electrodes = [{"name": "cathode", "voltage": 1, "shape": {"kind": "sphere", "centre": [0, 0, 0], "radius": 0.1}}]
     for text in blocks("toml"):
-        Scene.from_dict({"domain": DOMAIN, **tomllib.loads(text)})
+        named = {"electrodes": electrodes} if "conductors" in text else {}
+        Scene.from_dict({"domain": DOMAIN, **named, **tomllib.loads(text)})
     for text in blocks("python"):
         names: dict[str, Any] = {"amrpic": amrpic}
         exec(text, names)
         rule = names["scene"].refinement.rule
         assert (rule.name, rule.arguments) == ("near_the_axis", ["x", "y", "rho", "hysteresis"])
-    assert len(blocks("toml")) == 4 and len(blocks("python")) == 1
+    assert len(blocks("toml")) == 5 and len(blocks("python")) == 1
 
 
 @pytest.mark.parametrize("name", [name for name in CASES if name != "function"])

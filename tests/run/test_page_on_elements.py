@@ -23,12 +23,18 @@ def blocks(language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
 
 
+def tables_of_elements() -> list[list[dict[str, Any]]]:
+    """The elements of each example that gives some by itself, not by a lattice."""
+    scenes = [tomllib.loads(text) for text in blocks("toml")]
+    return [scene["elements"] for scene in scenes if "elements" in scene]
+
+
 def test_examples_of_the_page_on_elements(tmp_path, monkeypatch):
     """The map is the quadrupole that it says; the undulator and the corrector act on the bunch of the FODO cells."""
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     monkeypatch.chdir(tmp_path)
     writes, undulator, corrector = blocks("python")
-    sector, coil = (tomllib.loads(text)["elements"] for text in blocks("toml"))
+    sector, coil = tables_of_elements()
     exec(writes, {})
     line = {"domain": {"lower": -0.1, "upper": 0.1, "cells": 8}, "elements": coil}
     _, B = ExternalFields.of_scene(amrpic.Scene.from_dict(line)).fields([[0.01, 0.004, 0.5]])
@@ -45,7 +51,7 @@ def test_examples_of_the_page_on_elements(tmp_path, monkeypatch):
 
 
 def test_sector_of_the_page_turns_the_reference_particle_by_its_angle():
-    [sector] = tomllib.loads(blocks("toml")[0])["elements"]
+    [sector] = tables_of_elements()[0]
     half, angle, p = 0.34862 / 2, np.radians(5), 300.0
     start = np.array([0, 0, 0.5 - half]) - 0.2 * np.array([np.sin(angle), 0, np.cos(angle)])
     speed = 299792458 * p / np.hypot(p, 938.272)

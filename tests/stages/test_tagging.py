@@ -562,10 +562,8 @@ def blocks(language: str) -> list[str]:
 
 
 def test_examples_of_the_page_on_refinement_are_scenes():
-    electrodes = [{"name": "cathode", "voltage": 1, "shape": {"kind": "sphere", "centre": [0, 0, 0], "radius": 0.1}}]
     for text in blocks("toml"):
-        named = {"electrodes": electrodes} if "conductors" in text else {}
-        Scene.from_dict({"domain": DOMAIN, **named, **tomllib.loads(text)})
+        Scene.from_dict({"domain": DOMAIN, **tomllib.loads(text)})
     for text in blocks("python"):
         names: dict[str, Any] = {"amrpic": amrpic}
         exec(text, names)

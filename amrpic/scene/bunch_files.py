@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -16,6 +16,12 @@ from .bunches import Bunch, DescribedBunch
 from .complaints import complaint
 from .species import Species
 from .units import Angle, Length3
+
+ParticleFile = Annotated[str, Field(description="The file; a relative path starts at the scene file.")]
+Iteration = Annotated[int | None, Field(ge=0, description="Which iteration of the file; needed if it holds several.")]
+GroupOfParticles = Annotated[
+    str | None, Field(description="Name of the group of particles in the file; needed if it holds several.")
+]
 
 
 class MovedBunch(Bunch):
@@ -49,13 +55,9 @@ class OpenPMDBunch(MovedBunch):
     """
 
     distribution: Literal["openpmd"] = "openpmd"
-    file: str = Field(description="The file; a relative path starts at the scene file.")
-    iteration: int | None = Field(
-        default=None, ge=0, description="Which iteration of the file; needed if it holds several."
-    )
-    group: str | None = Field(
-        default=None, description="Name of the group of particles in the file; needed if it holds several."
-    )
+    file: ParticleFile
+    iteration: Iteration = None
+    group: GroupOfParticles = None
     species: Species | None = Field(
         default=None, description="A name, or charge and mass of one real particle, in place of what the file says."
     )

@@ -14,6 +14,7 @@ from .complaints import complaint
 from .section import Section
 from .units import (
     Angle,
+    Direction3,
     ElectricGradient3,
     FieldStrength,
     FieldStrength3,
@@ -47,21 +48,13 @@ class Element(Section):
 
     name: str = Field(default="", description="A name of your own, kept in the outputs.")
     centre: Length3 = Field(default=(0.0, 0.0, 0.0), description="Middle of the element, m.")
-    direction: tuple[float, float, float] = Field(
+    direction: Direction3 = Field(
         default=(0.0, 0.0, 1.0), description="Where its axis, its own z, points to; any length but 0."
     )
     roll: Angle = Field(default=0.0, description="Turn about its axis, from its own x towards y, rad.")
     reach: Length | None = Field(
         default=None, gt=0, description="Distance from its axis within which it acts, m; without it, any."
     )
-
-    @model_validator(mode="after")
-    def _has_direction(self) -> Self:
-        if not any(self.direction):
-            raise complaint(
-                "points nowhere", "give a vector such as [0, 0, 1]", path="direction", found=list(self.direction)
-            )
-        return self
 
 
 class PossiblyEverywhere(Element):

@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from .complaints import complaint
 from .section import Section
-from .units import Angle, Length, Length3
+from .units import Angle, Direction3, Length, Length3
 
 HalfWidth = Annotated[Length, Field(gt=0)]
 
@@ -36,7 +36,7 @@ class Obstacle(Section):
 class Turned(Obstacle):
     """Something that may look anywhere."""
 
-    direction: tuple[float, float, float] = Field(
+    direction: Direction3 = Field(
         default=(0.0, 0.0, 1.0), description="Where its own z points to, along which it is passed; any length but 0."
     )
     roll: Angle = Field(default=0.0, description="Turn about that, from its own x towards y, rad.")
@@ -46,14 +46,6 @@ class Turned(Obstacle):
         description="Distance from its axis within which particles meet it, m; without it, any. In a ring it keeps those away "
         "that pass on the other side.",
     )
-
-    @model_validator(mode="after")
-    def _has_direction(self) -> Self:
-        if not any(self.direction):
-            raise complaint(
-                "points nowhere", "give a vector such as [0, 0, 1]", path="direction", found=list(self.direction)
-            )
-        return self
 
     @property
     def is_along_z(self) -> bool:

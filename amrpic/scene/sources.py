@@ -15,6 +15,7 @@ from ..particles.emission import fowler_nordheim, richardson
 from ..particles.sampling import Sampling
 from ..particles.species import SPECIES
 from ..units import BOLTZMANN, SPEED_OF_LIGHT
+from .bunch_files import GroupOfParticles, Iteration, ParticleFile
 from .complaints import complaint
 from .emitted_momenta import MOST_OF_REST, AnyMomenta, BeamMomenta, ColdMomenta, ThermalMomenta
 from .obstacles import Obstacle
@@ -22,7 +23,7 @@ from .pulses import AnyPulse, SteadyPulse
 from .section import Section
 from .species import Species
 from .spots import AnySpot, DiscSpot, RectangleSpot
-from .units import Angle, Charge, Current, CurrentDensity, Energy, Length3, Temperature, Time
+from .units import Angle, Charge, Current, CurrentDensity, Direction3, Energy, Length3, Temperature, Time
 
 Limit = Literal["none", "space-charge"]
 LIMIT = (
@@ -35,16 +36,10 @@ class PlaneSection(Section):
     """A plane in the scene, from which particles leave along its own z."""
 
     centre: Length3 = Field(default=(0.0, 0.0, 0.0), description="Origin of the plane's own coordinates, m.")
-    direction: tuple[float, float, float] = Field(
+    direction: Direction3 = Field(
         default=(0.0, 0.0, 1.0), description="Where its own z points to, along which particles leave; any length but 0."
     )
     roll: Angle = Field(default=0.0, description="Turn about it, from its own x towards y, rad.")
-
-    @model_validator(mode="after")
-    def _has_direction(self) -> Self:
-        if not any(self.direction):
-            raise complaint("points nowhere", "give a vector such as [0, 0, 1]", path="direction", found=self.direction)
-        return self
 
 
 class OfSpecies(Obstacle):
@@ -401,13 +396,9 @@ class FileSource(OfSpecies):
     """
 
     process: Literal["file"] = "file"
-    file: str = Field(description="The file; a relative path starts at the scene file.")
-    iteration: int | None = Field(
-        default=None, ge=0, description="Which iteration of the file; needed if it holds several."
-    )
-    group: str | None = Field(
-        default=None, description="Name of the group of particles in the file; needed if it holds several."
-    )
+    file: ParticleFile
+    iteration: Iteration = None
+    group: GroupOfParticles = None
     shift: Length3 = Field(default=(0.0, 0.0, 0.0), description="By how much places are moved, m.")
     delay: Time = Field(default=0.0, description="By how much births are later, s.")
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from decimal import Decimal
 from typing import Annotated, Any
 
-from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic import AfterValidator, Field, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from ..errors import InputError
@@ -128,7 +128,15 @@ def _example(kind: str) -> str:
     return f'such as "2.5 {table[1] if len(table) > 1 else table[0]}"'
 
 
+def _points_somewhere(vector: tuple[float, float, float]) -> tuple[float, float, float]:
+    if not any(vector):
+        raise complaint("points nowhere", "give a vector such as [0, 0, 1]", found=list(vector))
+    return vector
+
+
 _Positive = Annotated[float, Field(gt=0)]
+#: A vector of any length but 0.
+Direction3 = Annotated[tuple[float, float, float], AfterValidator(_points_somewhere)]
 Length = Annotated[float, Quantity("length")]
 Emittance = Annotated[float, Quantity("emittance")]
 Time = Annotated[float, Quantity("time")]

@@ -43,6 +43,12 @@ def placed(case: hierarchies.Case, comm: MPI.Comm, count: int) -> tuple[amrpic.H
     return hierarchy, particles
 
 
+def assert_same_bits(particles: Particles, expected: Particles) -> None:
+    """This rank's particles, one by one."""
+    for array, expected_array in zip(particles.arrays, expected.arrays, strict=True):
+        np.testing.assert_array_equal(array, expected_array)
+
+
 def everywhere(comm: MPI.Comm, particles: Particles) -> dict[str, np.ndarray]:
     """Return the arrays of the particles of all ranks, in order of their ids, on every rank."""
     parts = comm.allgather(tuple(np.array(a) for a in particles.arrays))

@@ -19,6 +19,10 @@ namespace amrpic::freespace {
 constexpr int patch_points = node_count;                   ///< along an axis
 constexpr int patch_values = patch_points * patch_points;  ///< lower axis fastest
 
+/// Which points of a patch: bit t of number `row` stands for point t of that row.
+using PointMasks = std::array<std::uint8_t, patch_points>;
+static_assert(patch_points <= 8);
+
 /// Axes of the plane, in ascending order.
 constexpr std::array<int, 2> plane_axes(int normal) { return {normal == 0 ? 1 : 0, normal == 2 ? 1 : 2}; }
 

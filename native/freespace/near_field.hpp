@@ -96,10 +96,9 @@ class NearGrid {
   NearGrid(int normal, std::array<StencilRow, 3> places, std::array<int, 3> const& across)
       : normal_(normal), across_(across), places_(std::move(places)) {}
 
-  /// Add to the values of the patch `scale` times what charges make at those points that `masks` has: bit t of number
-  /// `row`.
-  void add(NodeCharges const& charges, KernelTable const& table, std::array<unsigned, patch_points> const& masks,
-           double scale, double* values) {
+  /// Add to the values of the patch `scale` times what charges make at those points that `masks` has.
+  void add(NodeCharges const& charges, KernelTable const& table, PointMasks const& masks, double scale,
+           double* values) {
     auto const axes = plane_axes(normal_);
     unsigned columns = 0, rows = 0;
     for (int row = 0; row < patch_points; ++row) {

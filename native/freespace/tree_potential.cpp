@@ -150,18 +150,17 @@ class TreePotential::NearPatch {
   }
 
   /// Add the charges of a node at the points that `masks` has.
-  void add(int number, TreeNode const& node, std::array<unsigned, patch_points> const& masks, ChargesOfNodes& charges,
-           double* values) {
+  void add(int number, TreeNode const& node, PointMasks const& masks, ChargesOfNodes& charges, double* values) {
     double const scale = four_pi * std::ldexp(1.0, node.level);  // lengths are 2^level times smaller there
     auto const by_column = tables_along(0, node), by_row = tables_along(1, node);
     int const across = table_serving(node, normal_, behind_);
     for (int table = across; table < kernels_.count(); ++table) {
-      std::array<unsigned, patch_points> served{};
+      PointMasks served{};
       bool any = false;
       for (int row = 0; row < patch_points; ++row)
         for (int t = 0; t < patch_points; ++t)
           if ((masks[row] >> t & 1) && std::max({across, by_column[t], by_row[row]}) == table)
-            served[row] |= 1u << t, any = true;
+            served[row] |= std::uint8_t(1u << t), any = true;
       if (!any) continue;
       bool const all = kernels_.stride(table) == Cell{1, 1, 1};
       NodeCharges const& there = all ? charges.of(number)
@@ -295,11 +294,10 @@ double TreePotential::far_limit(Octree const& tree, TreeNode const& node) const 
   return factor * freespace::far_limit(options_, node.radius, longest_spacing_ * node.coarsest);
 }
 
-std::vector<std::vector<Interactions>> TreePotential::interactions(Octree const& tree,
-                                                                   std::vector<GhostPatch> const& patches,
-                                                                   std::vector<char> const& is_own) const {
-  std::vector<std::vector<Interactions>> out(patches.size());
-  if (tree.empty()) return out;
+void TreePotential::for_each_patch(
+    Octree const& tree, std::vector<GhostPatch> const& patches, std::vector<char> const& is_own,
+    std::function<void(std::size_t, std::vector<Interactions> const&)> const& use) const {
+  if (tree.empty()) return;
   std::vector<double> limits;
   for (TreeNode const& node : tree.nodes) limits.push_back(far_limit(tree, node));
   struct Visit {
@@ -315,8 +313,10 @@ std::vector<std::vector<Interactions>> TreePotential::interactions(Octree const&
   };
   for (auto const& [node, image] : tree.tops) tops.push_back({node, number(image)});
   std::vector<std::vector<Visit>> left(patches.size());  // to the children
+  std::vector<Interactions> interactions;
   for (std::size_t p = patches.size(); p-- > 0;) {
     GhostPatch const& patch = patches[p];
+    interactions.clear();
     PatchBox const here(lattice_.cells, shape_, patch);
     double const separation = options_.separation * here.width;
     stack = patch.parent < 0 ? tops : left[std::size_t(patch.parent)];
@@ -328,11 +328,11 @@ std::vector<std::vector<Interactions>> TreePotential::interactions(Octree const&
         if (int(places.size()) <= seen_by) places.resize(images.size(), -1);
         place = places[std::size_t(seen_by)];
         if (place < 0) {
-          place = places[std::size_t(seen_by)] = int(out[p].size());
-          out[p].push_back({images[std::size_t(seen_by)], {}, {}});
+          place = places[std::size_t(seen_by)] = int(interactions.size());
+          interactions.push_back({images[std::size_t(seen_by)], {}, {}});
         }
       }
-      return out[p][std::size_t(place)];
+      return interactions[std::size_t(place)];
     };
     while (!stack.empty()) {
       auto const [n, image] = stack.back();
@@ -367,8 +367,8 @@ std::vector<std::vector<Interactions>> TreePotential::interactions(Octree const&
         left[p].push_back({n, image});
       }
     }
+    if (is_own[p]) use(p, interactions);
   }
-  return out;
 }
 
 /// Half the width over which the charges of a node are interpolated where they are summed one by one; nothing for nodes
@@ -459,15 +459,17 @@ void TreePotential::add_far(Octree const& tree, std::vector<Interactions::Far> c
   for (int row = 0; row < patch_points; ++row) add_lanes(sums[row], values + row * patch_points);
 }
 
-/// The multipoles of nodes, or of parts of them, at the points that they are far from; the rest goes to `near`.
-void TreePotential::add_mixed(Octree const& tree, std::vector<int> const& nodes, PatchPoints const& points, int level,
-                              std::size_t patch, std::size_t image, double* values, std::vector<NearRow>& near) const {
+/// The multipoles of nodes, or of parts of them, at the points that they are far from. Returns the nodes that are near
+/// to the others, and those points.
+std::map<int, PointMasks> TreePotential::add_mixed(Octree const& tree, std::vector<int> const& nodes,
+                                                   PatchPoints const& points, int level, double* values) const {
   struct Visit {
     int node;
     unsigned active;
   };
   Point const h2{shape_[0] * shape_[0], shape_[1] * shape_[1], shape_[2] * shape_[2]};
   std::vector<Visit> stack;
+  std::map<int, PointMasks> near;
   Rows const rows(points);
   for (int row = 0; row < patch_points; ++row) {
     auto const& at = rows.at[row];
@@ -493,7 +495,7 @@ void TreePotential::add_mixed(Octree const& tree, std::vector<int> const& nodes,
         unsigned const rest = active & ~far;
         if (!rest) continue;
         if (node.leaf >= 0 || is_summed(node, points.box)) {
-          near.push_back({patch, image, row, rest, n});
+          near[n][std::size_t(row)] |= std::uint8_t(rest);
           continue;
         }
         if (node.is_closed()) fail_alone("TreePotential: a node near a wall is not known on its rank");
@@ -502,29 +504,35 @@ void TreePotential::add_mixed(Octree const& tree, std::vector<int> const& nodes,
     }
     add_lanes(sum, values + row * patch_points);
   }
+  return near;
 }
 
 std::vector<double> TreePotential::at(Charges const& charges, Closing const& closing,
                                       std::vector<GhostPatch> const& patches, std::vector<char> const& is_own) const {
   Octree const& tree = charges.tree;
-  auto const found = interactions(tree, patches, is_own);
   std::vector<double> out(patches.size() * patch_values, 0.0);
-  std::vector<NearRow> near;
+  struct NearNodes {
+    std::size_t patch;
+    Image image;
+    std::vector<std::pair<int, PointMasks>> nodes;
+  };
+  std::vector<NearNodes> near;  // not the maps themselves, which take five times their memory
   std::array<double, patch_values> values;
   auto const add = [&](std::size_t p, int sign) {
     for (int n = 0; n < patch_values; ++n) out[p * patch_values + std::size_t(n)] += sign * values[std::size_t(n)];
   };
-  for (std::size_t p = 0; p < patches.size(); ++p) {
-    if (!is_own[p]) continue;
-    for (std::size_t i = 0; i < found[p].size(); ++i) {
-      auto const& [image, far, mixed] = found[p][i];
+  for_each_patch(tree, patches, is_own, [&](std::size_t p, std::vector<Interactions> const& interactions) {
+    for (auto const& [image, far, mixed] : interactions) {
       PatchPoints const points(lattice_, patches[p], image);
       values.fill(0);
       add_far(tree, far, points, patches[p].level, values.data());
-      add_mixed(tree, mixed, points, patches[p].level, p, i, values.data(), near);
+      auto const nodes = add_mixed(tree, mixed, points, patches[p].level, values.data());
+      if (!nodes.empty()) near.push_back({p, image, {nodes.begin(), nodes.end()}});
       add(p, image.sign);
     }
-    if (patches[p].parent >= 0 || closing.is_empty()) continue;
+  });
+  for (std::size_t p = 0; p < patches.size(); ++p) {
+    if (!is_own[p] || patches[p].parent >= 0 || closing.is_empty()) continue;
     PatchPoints const points(lattice_, patches[p]);
     auto const axes = plane_axes(points.normal);
     for (int n = 0; n < patch_values; ++n) {
@@ -537,21 +545,17 @@ std::vector<double> TreePotential::at(Charges const& charges, Closing const& clo
     add(p, 1);
   }
   std::vector<int> nodes;
-  for (NearRow const& row : near) nodes.push_back(row.node);
+  for (NearNodes const& group : near)
+    for (auto const& [node, points] : group.nodes) nodes.push_back(node);
   auto const across = axes_of_rows(shape_);
   LeafCharges const leaves(tree, charges.own, charges.received, std::move(nodes), across);
   ChargesOfNodes of_nodes(tree, leaves, across);
-  for (std::size_t n = 0; n < near.size();) {
-    auto const [p, i] = std::pair(near[n].patch, near[n].image);
-    std::map<int, std::array<unsigned, patch_points>> masks;  // by node
-    for (; n < near.size() && near[n].patch == p && near[n].image == i; ++n)
-      masks[near[n].node][std::size_t(near[n].row)] |= near[n].points;
-    Image const& image = found[p][i].image;
-    NearPatch patch(*this, patches[p], image);
+  for (NearNodes const& group : near) {
+    NearPatch patch(*this, patches[group.patch], group.image);
     values.fill(0);
-    for (auto const& [node, points] : masks)
+    for (auto const& [node, points] : group.nodes)
       patch.add(node, tree.nodes[std::size_t(node)], points, of_nodes, values.data());
-    add(p, image.sign);
+    add(group.patch, group.image.sign);
   }
   kernels_.trim();
   return out;

@@ -2,6 +2,8 @@
 // nearby.
 #pragma once
 
+#include <functional>
+#include <map>
 #include <optional>
 #include <vector>
 
@@ -48,9 +50,10 @@ class TreePotential {
   TreePotential(Lattice const& lattice, int finest, bool has_images, Options const& options);
   int finest() const { return finest_; }
 
-  /// For each patch that `is_own`, by image; with what it takes from its parent all charge counts just once.
-  std::vector<std::vector<Interactions>> interactions(Octree const& tree, std::vector<GhostPatch> const& patches,
-                                                      std::vector<char> const& is_own) const;
+  /// Call `use` for each patch that `is_own` with its number and its interactions by image, which with those of its
+  /// parents count all charge just once.
+  void for_each_patch(Octree const& tree, std::vector<GhostPatch> const& patches, std::vector<char> const& is_own,
+                      std::function<void(std::size_t, std::vector<Interactions> const&)> const& use) const;
 
   /// 4 pi times the potential that its interactions make at the 64 points of each patch that `is_own`, lengths in units
   /// of the smallest spacing; a value depends on nothing but charge and its patch. What closes a lattice counts on the
@@ -59,13 +62,6 @@ class TreePotential {
                          std::vector<char> const& is_own) const;
 
  private:
-  /// A node that is near to some of one row of points.
-  struct NearRow {
-    std::size_t patch, image;  ///< the latter by number among those of the patch
-    int row;
-    unsigned points;  ///< bit t: number t of the row
-    int node;
-  };
   class NearPatch;
   double weakness(Octree const& tree, TreeNode const& node) const;
   double far_limit(Octree const& tree, TreeNode const& node) const;
@@ -75,8 +71,8 @@ class TreePotential {
   OfCells of_cells(Octree const& tree, int node, int level) const;
   void add_far(Octree const& tree, std::vector<Interactions::Far> const& nodes, PatchPoints const& points, int level,
                double* values) const;
-  void add_mixed(Octree const& tree, std::vector<int> const& nodes, PatchPoints const& points, int level,
-                 std::size_t patch, std::size_t image, double* values, std::vector<NearRow>& near) const;
+  std::map<int, PointMasks> add_mixed(Octree const& tree, std::vector<int> const& nodes, PatchPoints const& points,
+                                      int level, double* values) const;
 
   Lattice lattice_;
   int finest_;

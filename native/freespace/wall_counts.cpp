@@ -194,11 +194,12 @@ WallCounts count(WallPlan const& plan, Options const& options, std::vector<Charg
                                 options);
   Octree tree = builder.finish(nodes, geometry.top);
   add_images(tree, images, Which::all, options);
-  for (auto const& of_patch : potential.interactions(tree, plan.patches, plan.is_own))
-    for (Interactions const& seen : of_patch) {
-      out.far += count_of(seen.far);
-      out.near += count_of(seen.mixed);
+  potential.for_each_patch(tree, plan.patches, plan.is_own, [&](auto, std::vector<Interactions> const& interactions) {
+    for (auto const& [image, far, mixed] : interactions) {
+      out.far += count_of(far);
+      out.near += count_of(mixed);
     }
+  });
   return out;
 }
 

@@ -41,8 +41,9 @@ SMALL_BLOCKS, GAP_CYCLES = 4, 4
 # Memory of a matrix-free solve: potential, charge, solver, plans for each box, which copies of levels of long cells have
 # too, what Python holds; and sixteen corrections with what they do to the residual, where slow cycles are combined
 # (docs/theory.md, "Slow cycles"). Around small blocks any coarse face may lie in a gap like no other, whose fit weighs up to
-# 168 fine cells, 40 bytes each.
+# 168 fine cells, 40 bytes each. Each further rank has tables of its own for open faces.
 BYTES_PER_CELL, BYTES_PER_BOX, BYTES_PER_FIT, BYTES_FREE = 100, 4000, 168 * 40, 100e6
+BYTES_PER_OPEN_RANK = 10e6
 BYTES_OF_ACCELERATION = 128  # per cell
 BYTES_PER_ROW = 4000  # of a domain a few cells wide and long: rows are padded, and each has neighbours and coefficients
 
@@ -105,9 +106,14 @@ def is_loose(case: Case) -> bool:
 
 
 def cycles_taken(case: Case, outcome: Outcome) -> int:
-    """Cycles to the tolerance, or to within ten times of what rounding leaves, where the residual may fall in steps."""
+    """Cycles to the tolerance, or to within ten times of what rounding leaves, where the residual may fall in steps.
+
+    That is the least residual where the solver ended for its rounding; whether it ended too early, the potential tells.
+    """
     spacing = case.edges / 2 ** len(case.levels)
     floor = np.finfo(float).eps * np.sum(2 / spacing**2) * outcome.largest_phi / largest_source(case)
+    if "rounding" in outcome.reason:
+        floor = max(floor, min(outcome.residuals))
     return next((n for n, r in enumerate(outcome.residuals) if r <= max(TOLERANCE, 10 * floor)), outcome.cycles)
 
 
@@ -187,8 +193,14 @@ def judge(case: Case, found: Outcome, plain: Outcome) -> tuple[list[Failure], fl
         solved = case.plain() if name else case
         fits = solved.most_fits_in_gaps if case.blocking_factor <= SMALL_BLOCKS else 0
         rows = outcome.cells // case.cells[0] if max(case.cells) > 256 else 0
+        tables = BYTES_PER_OPEN_RANK * (solved.ranks - 1) * case.has_open
         most = (
-            per_cell * outcome.cells + BYTES_PER_BOX * boxes + BYTES_PER_FIT * fits + BYTES_PER_ROW * rows + BYTES_FREE
+            per_cell * outcome.cells
+            + BYTES_PER_BOX * boxes
+            + BYTES_PER_FIT * fits
+            + BYTES_PER_ROW * rows
+            + tables
+            + BYTES_FREE
         )
         if matrix_free and outcome.growth > most:
             fail("memory", f"{name}{outcome.growth / 1e6:.0f} MB for {outcome.cells} cells, at most {most / 1e6:.0f}")

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import ast
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -364,3 +366,12 @@ def test_no_class_name_stands_twice():
                 modules.setdefault(node.name, []).append(name_of(path))
     assert {name: where for name, where in modules.items() if len(where) > 1 and name not in TWICE} == {}
     assert len(TWICE) <= 5
+
+
+def test_commands_start_without_what_only_pictures_and_statistics_need():
+    """They take long to import, and 27 MB and more of every process."""
+    program = (
+        "import sys, amrpic.commands.main; print({'matplotlib', 'scipy.stats', 'scipy.sparse'} & set(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set()", done.stdout

@@ -8,14 +8,16 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from ..errors import AmrpicError, InputError
 from ..io.atomic_files import temporary
 from .evaluate import last_of, run
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 TABLE, PICTURE = "scan.csv", "scan.png"
 SHOWN = ("rms_x", "rms_y", "rms_z", "emittance_x", "emittance_y", "emittance_z", "lost_particles")
@@ -92,6 +94,8 @@ def write_table(rows: Sequence[Row], path: Path) -> None:
 
 def drawn(rows: Sequence[Row], shown: Sequence[str] = SHOWN) -> Figure:
     """Return a picture: numbers against the value that was set first, a curve for each combination of the others."""
+    from matplotlib.figure import Figure  # takes long to import
+
     key = next(iter(rows[0].inputs))
     names = [name for name in shown if any(row.numbers.get(name) for row in rows)] or list(rows[0].numbers)[:4]
     abscissa, ticks = _abscissa([row.inputs[key] for row in rows])

@@ -20,6 +20,8 @@ PROCESS = 150 * MIB  # interpreter, NumPy, SciPy, pydantic, HDF5, Open MPI and T
 MESSAGES = 20 * MIB  # buffers of a process that has others to talk to
 QUIET = 44 * MIB  # SciPy's quasi-random numbers in a process
 DRAWING, RASTER = 55 * MIB, 4 * MIB  # matplotlib on rank 0, and a picture on each rank
+TRACING, OUTLINES = 30 * MIB, 30 * MIB  # electrodes: their surfaces on each rank, and in pictures
+ELECTRODE = 32  # of a cell, for each: the potential and field of a volt
 SOLVER = {"matrix-free": 12, "kokkos": 12, "crs": 340}  # of a cell: operators and vectors of all multigrid levels
 # Of a cell and of a particle, by how these move: as they are before and after a step, and on their way.
 ONE_SOLVE = 68, 100
@@ -46,13 +48,15 @@ def run_memory(scene: Scene, boxes: Sequence[Array], particles: int, ranks: int)
     of_cell, of_particle = ONE_SOLVE if scene.schedule.last_step == 0 else MOVING[scene.motion.kind]
     cells = _cells(boxes)
     groups = _groups(scene, cells, particles, ranks)
+    electrodes = ranks * TRACING + ELECTRODE * cells * len(scene.electrodes)
     return {
         "processes": ranks * (PROCESS + (MESSAGES if ranks > 1 else 0) + (QUIET if quiet else 0)),
         "solver": SOLVER[scene.solver.backend] * cells,
         "fields": of_cell * cells,
         "particles": of_particle * particles,
         "files": sum(_buffers(scene, particles, group) for group in groups),
-        "pictures": DRAWING + ranks * RASTER if "pictures" in scene.output.write else 0,
+        "pictures": _drawing(scene) + ranks * RASTER if _drawing(scene) else 0,
+        **({"electrodes": electrodes} if scene.electrodes else {}),
     }
 
 
@@ -64,10 +68,11 @@ def rank_memory(scene: Scene, boxes: Sequence[Array], particles: int, ranks: int
     parts, cells = run_memory(scene, boxes, particles, ranks), _cells(boxes)
     group = group_of(_groups(scene, cells, particles, ranks), own_share.rank)
     of_files = _buffers(scene, particles, group) if own_share.rank == group.start else 0
-    of_pictures = RASTER + (DRAWING if own_share.rank == 0 else 0) if parts["pictures"] else 0
+    of_pictures = RASTER + (_drawing(scene) if own_share.rank == 0 else 0) if parts["pictures"] else 0
     of_cells = (parts["solver"] + parts["fields"]) * own_share.cells / max(cells, 1)
+    of_electrodes = parts.get("electrodes", 0) / ranks
     of_particles = parts["particles"] * own_share.particles / max(particles, 1)
-    return parts["processes"] / ranks + of_cells + of_particles + of_files + of_pictures
+    return parts["processes"] / ranks + of_cells + of_electrodes + of_particles + of_files + of_pictures
 
 
 def base_boxes(scene: Scene) -> list[Array]:
@@ -77,6 +82,12 @@ def base_boxes(scene: Scene) -> list[Array]:
 
 def _cells(boxes: Sequence[Array]) -> int:
     return sum(int(cells_of(level).sum()) for level in boxes)
+
+
+def _drawing(scene: Scene) -> int:
+    """Return the bytes that rank 0 draws with."""
+    draws = {"pictures", "report"} & set(scene.output.write)
+    return DRAWING + (OUTLINES if scene.electrodes else 0) if draws else 0
 
 
 def _groups(scene: Scene, cells: int, particles: int, ranks: int) -> list[range]:

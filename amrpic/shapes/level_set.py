@@ -14,7 +14,7 @@ from .shape import Columns, Function, Shape, slabs
 from .solids import set_fields
 from .spans import Floats, Ints, Spans
 
-LINES_AT_ONCE = 4096
+LINES_AT_ONCE = 1024  # a few MB of points and values
 TINY = 1e-300
 STEP = 1e-6  # of differences for normals, in diagonals of the box
 

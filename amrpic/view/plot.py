@@ -103,10 +103,11 @@ def profiles(dump: Dump, line: Line, curves: Mapping[str, Array], level: int | N
 
 
 def save(figure: Figure, path: Path) -> Path:
-    """Write a picture; return its path. Raises OutputError."""
+    """Write a picture and clear it; return its path. Raises OutputError."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(temporary(path), format="png", dpi=DPI, bbox_inches="tight")
+        figure.clear()  # figures are cycles of references, which live on otherwise
         publish(path)
     except OSError as error:
         raise OutputError(f"cannot write picture {path}: {one_line(error)}; choose another output folder") from None

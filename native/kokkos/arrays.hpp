@@ -7,7 +7,7 @@
 #include <type_traits>
 #include <vector>
 
-#include "matrixfree/row_kernels.hpp"
+#include "cycle/row_kernels.hpp"
 
 namespace amrpic::kokkos {
 
@@ -103,7 +103,7 @@ struct Worker {
   template <class F>
   KOKKOS_INLINE_FUNCTION void with_kind(int lanes, bool isotropic, F const& f) const {
     if constexpr (on_host)
-      matrixfree::with_kind(lanes, isotropic, f);
+      cycle::with_kind(lanes, isotropic, f);
     else
       f(std::integral_constant<int, 1>(), std::integral_constant<bool, false>());
   }

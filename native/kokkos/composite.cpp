@@ -4,8 +4,8 @@
 #include <cmath>
 #include <limits>
 
-#include "matrixfree/composite_kernels.hpp"
-#include "matrixfree/gap_window.hpp"
+#include "composite/composite_kernels.hpp"
+#include "mesh/gap_window.hpp"
 #include "stencil/interface.hpp"
 #include "stencil/intergrid.hpp"
 
@@ -360,9 +360,9 @@ struct Sizes {
                                    Value const& value) const {
     Real out = 0;
     if constexpr (on_host) {
-      Real values[matrixfree::chunk];
-      for (int first = 0; first < n; first += matrixfree::chunk) {
-        int const last = n < first + matrixfree::chunk ? n : first + matrixfree::chunk;
+      Real values[cycle::chunk];
+      for (int first = 0; first < n; first += cycle::chunk) {
+        int const last = n < first + cycle::chunk ? n : first + cycle::chunk;
         along(first, last, n, here, left, right, [&](int i, T x, T y) { values[i - first] = value(i, x, y); });
         join(out, of_all(values, last - first));
       }

@@ -1,9 +1,9 @@
 #pragma once
 
+#include "composite/composite_mesh.hpp"
+#include "composite/composite_residual.hpp"
 #include "kokkos/fits.hpp"
 #include "kokkos/swept_level.hpp"
-#include "matrixfree/composite_mesh.hpp"
-#include "matrixfree/composite_residual.hpp"
 
 namespace amrpic::kokkos {
 

@@ -6,8 +6,8 @@
 
 namespace amrpic::kokkos {
 
-InterfaceCells::InterfaceCells(matrixfree::InterfaceCells const& plan, matrixfree::Layout const& layout) {
-  std::vector<matrixfree::InterfaceSteps> sides;
+InterfaceCells::InterfaceCells(cycle::InterfaceCells const& plan, cycle::Layout const& layout) {
+  std::vector<cycle::InterfaceSteps> sides;
   std::vector<Face> faces;
   GapTerms::Lists coarse_terms, fine_terms;
   std::vector<std::int32_t> places;  // of all cells, for windows
@@ -63,7 +63,7 @@ void InterfaceCells::subtract_coarse(Array<float> const& coarse_values, Array<fl
   for_each_face(
       "take ghosts", KOKKOS_LAMBDA(std::int32_t n) {
         Face const& face = on.faces(n);
-        matrixfree::InterfaceSteps const& side = on.sides(face.side);
+        cycle::InterfaceSteps const& side = on.sides(face.side);
         FourStars<float> stars{};
         if (face.fit >= 0)
           stars = on.fits.stars(face.fit, &coarse_values(face.parent), side.parent_u, side.parent_v);
@@ -90,14 +90,14 @@ void InterfaceCells::subtract_flux(Array<float> const& e, Array<float> const& co
   for_each_face(
       "take fluxes", KOKKOS_LAMBDA(std::int32_t n) {
         Face const& face = on.faces(n);
-        matrixfree::InterfaceSteps const& side = on.sides(face.side);
+        cycle::InterfaceSteps const& side = on.sides(face.side);
         coarse_values(face.parent) -= side.flux(&e(face.cell));
         if (face.fit < 0) coarse_values(face.parent) += side.flux_of_ghosts(on.taken(~face.fit));
       });
 }
 
 std::size_t InterfaceCells::bytes() const {
-  return lists_.faces.extent(0) * sizeof(Face) + lists_.sides.extent(0) * sizeof(matrixfree::InterfaceSteps) +
+  return lists_.faces.extent(0) * sizeof(Face) + lists_.sides.extent(0) * sizeof(cycle::InterfaceSteps) +
          lists_.coarse_terms.bytes() + lists_.fine_terms.bytes() + lists_.taken.extent(0) * sizeof(FourStars<float>);
 }
 

@@ -88,7 +88,7 @@ void CompositeGhosts::fill_interface(int l, int b, int axis, int side, Field con
   GapFit const* const* in_gap = nullptr;
   if (i.gaps >= 0) {
     Gaps const& gaps = mesh_.plan(l).gaps[std::size_t(i.gaps)];
-    fill_windows(l, gaps, phi);
+    fill_gaps(l, gaps, phi);
     in_gap = &mesh_.plan(l).fits_in_gaps[std::size_t(gaps.fits)];
   }
   Index3 behind = own.coarsen(refinement_ratio).layer(axis, side, 1).lower;
@@ -160,30 +160,31 @@ GapFit const* const* CompositeGhosts::fit_in_gaps(GapFit const* const* in_gap, F
     if (fits[m] != fit_in_gap) continue;
     FourStars<Real> stars{};
     for (auto const& term : (*in_gap)->terms)
-      add_to_stars(stars, term.weight, term.fine ? window_(first_child_of(cell), term) : coarse_window_(cell, term));
+      add_to_stars(stars, term.weight,
+                   term.fine ? gap_values_(first_child_of(cell), term) : coarse_gap_values_(cell, term));
     std::copy_n(stars[0].data(), 2, lower_row + 2 * m), std::copy_n(stars[1].data(), 2, upper_row + 2 * m);
     ++in_gap;
   }
   return in_gap;
 }
 
-void CompositeGhosts::fill_windows(int l, Gaps const& gaps, Field const& phi) {
-  auto const fill = [&](GapWindow<Real>& window, Box const& box, Range const& parts, Real const* own) {
-    window.set_box(box);
+void CompositeGhosts::fill_gaps(int l, Gaps const& gaps, Field const& phi) {
+  auto const fill = [&](GapValues<Real>& values, Box const& box, Range const& parts, Real const* own) {
+    values.set_box(box);
     for (int p = parts.first; p < parts.last; ++p) {
-      WindowPart const& part = mesh_.plan(l).window_parts[std::size_t(p)];
-      window.copy_in(part.part, (part.here ? own : mesh_.plan().cells.values()) + part.from, part.pitch_y,
+      RegionPart const& part = mesh_.plan(l).region_parts[std::size_t(p)];
+      values.copy_in(part.part, (part.here ? own : mesh_.plan().cells.values()) + part.from, part.pitch_y,
                      part.pitch_z);
     }
   };
-  fill(coarse_window_, gaps.coarse, gaps.coarse_parts, phi.level(l - 1).data());
-  fill(window_, gaps.coarse.refine(refinement_ratio), gaps.parts, phi.level(l).data());
+  fill(coarse_gap_values_, gaps.coarse, gaps.coarse_parts, phi.level(l - 1).data());
+  fill(gap_values_, gaps.coarse.refine(refinement_ratio), gaps.parts, phi.level(l).data());
 }
 
 std::size_t CompositeGhosts::bytes() const {
   std::size_t values = coarse_.capacity() + star_.capacity();
   for (auto const& face : ghosts_) values += face.capacity();
-  return values * sizeof(Real) + fluxes_.bytes() + coarse_window_.bytes() + window_.bytes();
+  return values * sizeof(Real) + fluxes_.bytes() + coarse_gap_values_.bytes() + gap_values_.bytes();
 }
 
 /// The value of phi beyond a side of a cell of the box under way.

@@ -4,7 +4,7 @@
 #include <optional>
 
 #include "composite/coarse_fluxes.hpp"
-#include "mesh/gap_window.hpp"
+#include "mesh/gap_values.hpp"
 #include "mesh/walls.hpp"
 #include "stencil/interface.hpp"
 
@@ -69,13 +69,13 @@ class CompositeGhosts {
   void fill_beside_metal(int l, int b, int axis, int side, Field const& phi, std::vector<Real> const& potentials);
   GapFit const* const* fit_in_gaps(GapFit const* const* in_gap, FitNumber const* fits, int count, int u, Index3 cell,
                                    Real* lower_row, Real* upper_row) const;
-  void fill_windows(int l, Gaps const& gaps, Field const& phi);
+  void fill_gaps(int l, Gaps const& gaps, Field const& phi);
 
   CompositeMesh& mesh_;
   CoarseFluxes fluxes_;
-  std::array<std::vector<Real>, 6> ghosts_;  ///< of the box under way, by face, u fastest
-  std::vector<Real> coarse_, star_;          ///< of the interface under way: coarse values, two rows of phi*
-  GapWindow<Real> coarse_window_, window_;   ///< of the gaps under way
+  std::array<std::vector<Real>, 6> ghosts_;         ///< of the box under way, by face, u fastest
+  std::vector<Real> coarse_, star_;                 ///< of the interface under way: coarse values, two rows of phi*
+  GapValues<Real> coarse_gap_values_, gap_values_;  ///< of the gaps under way
 };
 
 }  // namespace amrpic

@@ -105,9 +105,9 @@ class LevelPlanner {
   /// The fits in gaps behind a face, `coarse` around them.
   Gaps gaps_at(ArrayOnBox<FitNumber> const& fits, Box const& coarse, int f) {
     Gaps out{coarse, {}, {}, std::int32_t(out_.fits_in_gaps.size())};
-    out.coarse_parts = parts_of_window(l_ - 1, coarse_near_, coarse, f);
+    out.coarse_parts = parts_of_region(l_ - 1, coarse_near_, coarse, f);
     if (gap_fits_take_fine_cells(level_))
-      out.parts = parts_of_window(l_, refined_near_, coarse.refine(refinement_ratio), f);
+      out.parts = parts_of_region(l_, refined_near_, coarse.refine(refinement_ratio), f);
     GapCells const cells(level_, coarse, coarse_near_, refined_near_, finer_);
     for_each_cell(fits.box(), [&](Index3 const& cell) {
       if (fits(cell) == fit_in_gap) out_.fits_in_gaps.push_back(&gap_fits_(cells.around(cell), f / 2));
@@ -115,25 +115,25 @@ class LevelPlanner {
     return out;
   }
 
-  /// The parts of a window that boxes of level l hold.
-  Range parts_of_window(int l, std::vector<Overlap> const& near, Box const& window, int f) {
-    Range out{std::int32_t(out_.window_parts.size()), 0};
+  /// The parts of a region that boxes of level l hold.
+  Range parts_of_region(int l, std::vector<Overlap> const& near, Box const& region, int f) {
+    Range out{std::int32_t(out_.region_parts.size()), 0};
     Level const& level = l == l_ ? level_ : *coarser_;
     for (Overlap const& o : near) {
-      Overlap const met{o.box, o.part.intersect(window), o.shift};
+      Overlap const met{o.box, o.part.intersect(region), o.shift};
       if (met.part.empty()) continue;
       int const purpose = l == l_ ? CompositePlan::around_gaps(l) : CompositePlan::behind_gaps(l);
-      out_.window_parts.push_back(part_of(cells_, purpose, level, number_, f, met));
-      plan_->remote = plan_->remote || !out_.window_parts.back().here;
+      out_.region_parts.push_back(part_of(cells_, purpose, level, number_, f, met));
+      plan_->remote = plan_->remote || !out_.region_parts.back().here;
     }
-    out.last = std::int32_t(out_.window_parts.size());
+    out.last = std::int32_t(out_.region_parts.size());
     return out;
   }
 
   /// The part of the plane beyond face f that a box of level l covers, placed from `origin`.
   Rectangle rectangle(int l, Overlap const& o, int f, Index3 const& origin) {
     int const purpose = l == l_ ? CompositePlan::as_neighbours(l) : CompositePlan::behind_edges(l);
-    WindowPart const part = part_of(cells_, purpose, l == l_ ? level_ : *coarser_, number_, f, o);
+    RegionPart const part = part_of(cells_, purpose, l == l_ ? level_ : *coarser_, number_, f, o);
     plan_->remote = plan_->remote || !part.here;
     return part.across(f / 2, origin);
   }
@@ -180,8 +180,8 @@ std::size_t bytes_of(std::vector<T> const& list) {
 
 }  // namespace
 
-void Rectangle::copy(Real const* own, Real const* imported, Real* to, std::ptrdiff_t pitch) const {
-  Real const* row = (here ? own : imported) + from;
+void Rectangle::copy(Real const* own, Real const* remote, Real* to, std::ptrdiff_t pitch) const {
+  Real const* row = (here ? own : remote) + from;
   to += u + pitch * v;
   for (int j = 0; j < nv; ++j, row += pv, to += pitch) {
     if (pu == 1)
@@ -191,7 +191,7 @@ void Rectangle::copy(Real const* own, Real const* imported, Real* to, std::ptrdi
   }
 }
 
-WindowPart part_of(RemoteReads const& cells, int purpose, Level const& level, int reader, int region,
+RegionPart part_of(RemoteReads const& cells, int purpose, Level const& level, int reader, int region,
                    Overlap const& o) {
   if (level.owner(o.box) != level.rank()) {
     RemoteReads::Values const values = cells.find(purpose, reader, region, o.box, o.shift, o.part);
@@ -202,7 +202,7 @@ WindowPart part_of(RemoteReads const& cells, int purpose, Level const& level, in
   return {true, level.local_offset(o.box) + std::int32_t(box.offset(o.in_box().lower)), pitch[1], pitch[2], o.part};
 }
 
-Rectangle WindowPart::across(int axis, Index3 const& origin) const {
+Rectangle RegionPart::across(int axis, Index3 const& origin) const {
   auto const [u, v] = tangential_axes(axis);
   Index3 const pitch{1, pitch_y, pitch_z};
   return {here,           from,          pitch[u], pitch[v], part.lower[u] - origin[u], part.lower[v] - origin[v],
@@ -238,7 +238,7 @@ std::size_t CompositePlan::bytes() const {
   std::size_t sum = cells.memory() + gap_fits->bytes();
   for (auto const& l : levels)
     sum += bytes_of(l.boxes) + bytes_of(l.neighbours) + bytes_of(l.interfaces) + bytes_of(l.coarse) + bytes_of(l.fits) +
-           bytes_of(l.gaps) + bytes_of(l.window_parts) + bytes_of(l.fits_in_gaps) + bytes_of(l.covered) +
+           bytes_of(l.gaps) + bytes_of(l.region_parts) + bytes_of(l.fits_in_gaps) + bytes_of(l.covered) +
            bytes_of(l.refined) + l.finer_fluxes.memory();
   return sum;
 }

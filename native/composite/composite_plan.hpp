@@ -12,26 +12,21 @@
 
 namespace amrpic {
 
-/// Elements [first, last) of a list.
-struct Range {
-  std::int32_t first = 0, last = 0;
-  bool empty() const { return first == last; }
-};
-
 /// A rectangle of values of a box, in its memory or as another rank sent it. Along u and v, the lower and the higher
 /// axis in the plane.
 struct Rectangle {
-  bool here;            ///< in this rank's memory
-  std::int32_t from;    ///< place of the first value among the own cells (or fluxes) of its level, or of those imported
+  bool here;  ///< in this rank's memory
+  std::int32_t
+      from;  ///< place of the first value among the own cells (or fluxes) of its level, or of those of other ranks
   std::int32_t pu, pv;  ///< distance between neighbours
   int u, v, nu, nv;     ///< where it lies, and how far it goes
 
-  /// Copy it to where it lies in a plane, from its level's `own` values or those `imported`.
-  void copy(Real const* own, Real const* imported, Real* to, std::ptrdiff_t pitch) const;
+  /// Copy it to where it lies in a plane, from its level's `own` values or those of other ranks.
+  void copy(Real const* own, Real const* remote, Real* to, std::ptrdiff_t pitch) const;
 };
 
 /// Cells of a box, in its memory or as another rank sent them: a part of a region that another box reads.
-struct WindowPart {
+struct RegionPart {
   bool here;                            ///< in this rank's memory
   std::int32_t from, pitch_y, pitch_z;  ///< place of the first value as in Rectangle, and distances
   Box part;                             ///< in the region's indices
@@ -41,7 +36,7 @@ struct WindowPart {
 };
 
 /// The cells of an overlap of `level`, which `reader` reads for a purpose in one of its regions.
-WindowPart part_of(RemoteReads const& cells, int purpose, Level const& level, int reader, int region, Overlap const& o);
+RegionPart part_of(RemoteReads const& cells, int purpose, Level const& level, int reader, int region, Overlap const& o);
 
 /// Where the values beyond a face of a box come from.
 struct FacePlan {
@@ -91,7 +86,7 @@ struct LevelPlan {
   std::vector<Rectangle> coarse;  ///< cells of the coarser level
   std::vector<FitNumber> fits;
   std::vector<Gaps> gaps;
-  std::vector<WindowPart> window_parts;
+  std::vector<RegionPart> region_parts;
   std::vector<GapFit const*> fits_in_gaps;
   std::int32_t fluxes = 0;   ///< number of coarse faces for which the level has places
   std::vector<Box> covered;  ///< counted from the first cell of the box

@@ -212,7 +212,7 @@ void SecondOrderResidual::for_each_charge(Source const& source, Field const& phi
 /// Call f(cell, weight) for the weights that cells have in the fits in gaps for their own ghosts behind a face of a
 /// box; cells count from the first one of the box.
 template <class F>
-void SecondOrderResidual::for_each_own_share_in_gaps(int l, int b, int face, F&& f) const {
+void SecondOrderResidual::for_each_own_weight_in_gaps(int l, int b, int face, F&& f) const {
   Level const& level = mesh_.level(l);
   int const axis = face / 2, side = face % 2;
   auto const [u, v] = tangential_axes(axis);
@@ -231,10 +231,10 @@ void SecondOrderResidual::for_each_own_share_in_gaps(int l, int b, int face, F&&
     for (own[v] = 0; own[v] < 2; ++own[v])
       for (own[u] = 0; own[u] < 2; ++own[u]) {
         cell[u] = 2 * (i.u + coarse_u) + own[u], cell[v] = 2 * (i.v + coarse_v) + own[v];
-        Real share = 0;
+        Real weight = 0;
         for (auto const& term : fit.terms)
-          if (is_own(term)) share += term.weight[std::size_t(own[v])][std::size_t(own[u])];
-        f(cell, share);
+          if (is_own(term)) weight += term.weight[std::size_t(own[v])][std::size_t(own[u])];
+        f(cell, weight);
       }
   });
 }
@@ -263,9 +263,9 @@ void SecondOrderResidual::diagonal_plane(int l, int b, int k, Field const& phi) 
         if (mesh_.plan(l).fits[std::size_t(i.fits + a + e * i.nu)] == no_fit) return;
         plane_[std::size_t(at)] += c * interface_ghost::first * cells[at];
       });
-      for_each_own_share_in_gaps(l, b, f, [&](Index3 const& cell, Real share) {
+      for_each_own_weight_in_gaps(l, b, f, [&](Index3 const& cell, Real weight) {
         std::ptrdiff_t const at = cell[0] + std::ptrdiff_t(cell[1]) * pitch[1];
-        if (cell[2] == k) plane_[std::size_t(at)] += c * interface_ghost::coarse * share * cells[at];
+        if (cell[2] == k) plane_[std::size_t(at)] += c * interface_ghost::coarse * weight * cells[at];
       });
     }
   }

@@ -97,7 +97,7 @@ class SecondOrderResidual : public CompositeResidual {
   Real of_surfaces(int l, int b, CutCell const& cut, CutRow const& row, Source const& source) const;
   Real of_data(int l, int b, CutCell const& cut, CutRow const& row, Source const& source) const;
   template <class F>
-  void for_each_own_share_in_gaps(int l, int b, int face, F&& f) const;
+  void for_each_own_weight_in_gaps(int l, int b, int face, F&& f) const;
 
   CompositeGhosts& ghosts_;
 };

@@ -109,13 +109,13 @@ Pair parents_along(int cell, int ratio) {
   return {parent, cell == 2 * parent ? parent - 1 : parent + 1, prolongation::far};
 }
 
-/// The truncation error in a row of n cells, from the potentials in a window around them and the means of rho.
-void estimate_row(int n, Equation const& coarse, Real const* __restrict potential, Box const& window,
+/// The truncation error in a row of n cells, from the potentials in a region around them and the means of rho.
+void estimate_row(int n, Equation const& coarse, Real const* __restrict potential, Box const& region,
                   Real const* __restrict charge, Background const& background, char const* __restrict usable,
                   Real* __restrict error) {
   Equation const equation = coarse;
   Background const taken_away = background;
-  std::ptrdiff_t const y = window.extent(0), z = y * window.extent(1);
+  std::ptrdiff_t const y = region.extent(0), z = y * region.extent(1);
   for (int i = 0; i < n; ++i) {
     Real const* const phi = potential + i;
     Real const found = laplacian(equation, phi[0], phi[-1], phi[1], phi[-y], phi[y], phi[-z], phi[z]);

@@ -70,7 +70,7 @@ void FourthOrderPlan::plan_face(CompositeMesh const& mesh, int l, int b, int f, 
     for (Overlap const& o : near) {
       Overlap const met{o.box, o.part.intersect(layer), o.shift};
       if (met.part.empty()) continue;
-      WindowPart const part = part_of(cells, purpose, mesh.level(of), reader, f, met);
+      RegionPart const part = part_of(cells, purpose, mesh.level(of), reader, f, met);
       if (!part.here) level.remote.back() = 1;
       level.rectangles.push_back(part.across(axis, layer.lower));
     }

@@ -95,7 +95,7 @@ void Coarsening::lay_out_coarse_patches(Communicator const& comm, CoarseGhosts c
       };
     return RectangleExchange(
         comm, coarse_.layout(), copied, copies_across_ranks(level, coarser, near, regions),
-        [this](Box const& box, Part const& f) {
+        [this](Box const& box, VisitPart const& f) {
           for_each_part(coarse_patches_.begin(), coarse_patches_.end(), box, f);
         },
         Colours::all, routes);

@@ -124,13 +124,13 @@ void InterfaceCells::add_gaps(InterfaceSide& face, ArrayOnBox<FitNumber> const& 
   Box const gaps = hull_of_fits(fits, [](FitNumber fit) { return fit == fit_in_gap; });
   if (!gaps.empty()) {
     face.first_child = first_child_of(fits.box().lower);
-    face.window = gaps.grow(1).refine(refinement_ratio);
+    face.region = gaps.grow(1).refine(refinement_ratio);
     GapCells const cells(level, gaps.grow(1), near, refined, finer);
     for_each_cell(fits.box(), [&](Index3 const& cell) {
       if (fits(cell) == fit_in_gap) gaps_.push_back(&(*gap_fits_)(cells.around(cell), face.axis));
     });
     if (gap_fits_take_fine_cells(level))
-      layout.for_each_overlap(face.window, [&](CellBlock const& block, Box const& part, Index3 const& shift) {
+      layout.for_each_overlap(face.region, [&](CellBlock const& block, Box const& part, Index3 const& shift) {
         Placement from = block.cells;
         from.origin = block.place(part.shift_back(shift).lower);
         parts_.push_back({part, from});
@@ -153,10 +153,10 @@ void InterfaceCells::for_each_gap(InterfaceSide const& face, F&& f) const {
 void InterfaceCells::subtract_in_gaps(Vector const& e, Vector& r) {
   for (InterfaceSide const& face : faces_) {
     if (face.gaps == 0) continue;
-    window_.set_box(face.window);
+    gap_values_.set_box(face.region);
     for (std::size_t p = face.first_part; p < face.first_part + face.parts; ++p) {
       auto const& [part, from] = parts_[p];
-      window_.copy_in(part, &e[std::size_t(from.origin)], from.pitch_y, from.pitch_z);
+      gap_values_.copy_in(part, &e[std::size_t(from.origin)], from.pitch_y, from.pitch_z);
     }
     auto const [axis_u, axis_v] = tangential_axes(face.axis);
     for_each_gap(face, [&](std::size_t gap, int u, int v) {
@@ -164,7 +164,7 @@ void InterfaceCells::subtract_in_gaps(Vector const& e, Vector& r) {
       child[axis_u] += 2 * u, child[axis_v] += 2 * v;
       FourStars<float> stars{};
       for (auto const& term : gaps_[gap]->terms)
-        if (term.fine) add_to_stars(stars, term.weight, window_(child, term));
+        if (term.fine) add_to_stars(stars, term.weight, gap_values_(child, term));
       face.change_ghosts(stars, taken_[gap], &r[first_cell(face, u, v)]);
     });
   }
@@ -241,8 +241,8 @@ void InterfaceCells::subtract_flux(Vector const& e, Vector& coarse_values) const
 }
 
 std::size_t InterfaceCells::bytes() const {
-  return faces_.size() * sizeof(InterfaceSide) + fits_.size() + window_.bytes() +
-         gaps_.size() * (sizeof(GapFit const*) + sizeof taken_[0]) + parts_.size() * sizeof(WindowPart) +
+  return faces_.size() * sizeof(InterfaceSide) + fits_.size() + gap_values_.bytes() +
+         gaps_.size() * (sizeof(GapFit const*) + sizeof taken_[0]) + parts_.size() * sizeof(RegionPart) +
          (plane_.size() + rows_.size()) * sizeof(float);
 }
 

@@ -7,7 +7,7 @@
 #include "cycle/layout.hpp"
 #include "mesh/faces.hpp"
 #include "mesh/fits.hpp"
-#include "mesh/gap_window.hpp"
+#include "mesh/gap_values.hpp"
 #include "mesh/metal_faces.hpp"
 
 namespace amrpic::kokkos {
@@ -66,13 +66,13 @@ class InterfaceCells {
     std::ptrdiff_t cell, parent;    ///< the first fine cell before the face, and coarse cell behind it, in the patch
     std::ptrdiff_t parent_normal;   ///< step between coarse cells along the normal
     std::size_t first_gap, gaps;    ///< fits in gaps, u fastest
-    std::size_t first_part, parts;  ///< of the window around them
-    Box window;                     ///< fine cells
+    std::size_t first_part, parts;  ///< of the region around them
+    Box region;                     ///< fine cells
     Index3 first_child;             ///< of the first coarse cell
     int axis, side;
   };
   /// Cells of the level in a block.
-  struct WindowPart {
+  struct RegionPart {
     Box part;
     Placement from;
   };
@@ -106,8 +106,8 @@ class InterfaceCells {
   std::shared_ptr<GapFits> gap_fits_;
   std::vector<GapFit const*> gaps_;
   std::vector<FourStars<float>> taken_;  ///< of each gap
-  std::vector<WindowPart> parts_;
-  GapWindow<float> window_;
+  std::vector<RegionPart> parts_;
+  GapValues<float> gap_values_;
   mutable std::vector<float> plane_, rows_;  ///< of the face under way: coarse values, two rows of ghosts
 };
 

@@ -85,7 +85,7 @@ RectangleExchange::RectangleExchange(Communicator const& comm, Layout const& lay
                                      CopiesAcrossRanks const& across, ForEachPart const& copies, Colours colours,
                                      Routes const& routes)
     : colours_(colours) {
-  auto own = [&](Box const& box, Part const& f) { layout.for_each_own_part(box, f); };
+  auto own = [&](Box const& box, VisitPart const& f) { layout.for_each_own_part(box, f); };
   for (Region const& region : regions_of(local))
     for (Box const& box : region.boxes)
       own(box, [&](Box const& part, Placement const& at) {

@@ -19,8 +19,8 @@ struct Copied {
 };
 
 /// Call f(part, where it lies) for the parts of a box that lie in rectangles of memory.
-using Part = std::function<void(Box const&, Placement const&)>;
-using ForEachPart = std::function<void(Box const&, Part const&)>;
+using VisitPart = std::function<void(Box const&, Placement const&)>;
+using ForEachPart = std::function<void(Box const&, VisitPart const&)>;
 
 /// Which cells pass between ranks: all, or those of one colour, the parity of the sum of their indices.
 enum class Colours { first, second, all };

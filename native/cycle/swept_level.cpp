@@ -43,7 +43,7 @@ SweptLevel::SweptLevel(Communicator const& comm, std::shared_ptr<Level const> le
     layout_.for_each_copied_part(image.cells.shift(image.shift), [&](Box const& part, Placement const& copy) {
       images.push_back({image.box, part.shift_back(image.shift), copy});
     });
-  auto const copies = [this](Box const& box, Part const& f) { layout_.for_each_copied_part(box, f); };
+  auto const copies = [this](Box const& box, VisitPart const& f) { layout_.for_each_copied_part(box, f); };
   if (is_thin_) {
     for (Colours colours : {Colours::first, Colours::second})
       halo_of_colour_[std::size_t(colours)] =

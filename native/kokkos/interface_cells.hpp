@@ -36,11 +36,11 @@ class InterfaceCells {
  private:
   template <class F>
   void for_each_face(char const* name, F const& f) const {
-    for (Part const& part : of_direction_) for_each(name, part, f);
+    for (Range const& part : of_direction_) for_each(name, part, f);
   }
 
   Lists lists_;
-  std::array<Part, 6> of_direction_;
+  std::array<Range, 6> of_direction_;
 };
 
 }  // namespace amrpic::kokkos

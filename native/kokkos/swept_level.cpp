@@ -46,7 +46,7 @@ SweptLevel::SweptLevel(Communicator const& comm, cycle::SweptLevel& plan)
 }
 
 /// Set composed rows, or their differences to the rows that they lie beside.
-void SweptLevel::compose(Part const& runs, bool differences) {
+void SweptLevel::compose(Range const& runs, bool differences) {
   LevelTables const level = tables_;
   auto const e = e_.array();
   for_each_row(
@@ -56,7 +56,7 @@ void SweptLevel::compose(Part const& runs, bool differences) {
 }
 
 /// One colour of some rows, at most `reach` steps from own cells.
-void SweptLevel::half_sweep(Part const& rows, cycle::HalfSweep const& half, int reach) {
+void SweptLevel::half_sweep(Range const& rows, cycle::HalfSweep const& half, int reach) {
   LevelTables const level = tables_;
   auto const r = r_.array(), e = e_.array();
   int const colour = half.colour;

@@ -53,8 +53,8 @@ class SweptLevel {
   std::size_t bytes() const;
 
   // Parts of `relax`, public because CUDA wants members with kernels to be.
-  void compose(Part const& runs, bool differences);
-  void half_sweep(Part const& rows, cycle::HalfSweep const& half, int reach);
+  void compose(Range const& runs, bool differences);
+  void half_sweep(Range const& rows, cycle::HalfSweep const& half, int reach);
 
  private:
   void bring(int colours);
@@ -70,7 +70,7 @@ class SweptLevel {
   LevelTables tables_;
   Array<RowPlace> own_rows_;
   struct Together {
-    Part rows, runs;
+    Range rows, runs;
   };
   std::vector<Together> together_;  ///< rows that may be relaxed at once, and what composes those beside them
   Mirrored<float> r_, e_;

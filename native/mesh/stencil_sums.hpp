@@ -20,8 +20,8 @@ struct SharedStencils {
 ///
 /// `value`: a dense array, x fastest, with steps[d] numbers from a cell to the next along an axis; `place`: of the
 /// cells in it.
-std::vector<Real> window_sums(Real const* value, std::array<std::ptrdiff_t, 3> const& steps,
-                              std::vector<std::int64_t> const& place, std::vector<std::int64_t> const& kind,
-                              SharedStencils const& stencils);
+std::vector<Real> stencil_sums(Real const* value, std::array<std::ptrdiff_t, 3> const& steps,
+                               std::vector<std::int64_t> const& place, std::vector<std::int64_t> const& kind,
+                               SharedStencils const& stencils);
 
 }  // namespace amrpic

@@ -10,7 +10,7 @@ namespace amrpic {
 /// What lies around the gaps behind a face of a box: cells of one level in a box, x fastest; those that the level lacks
 /// are never read.
 template <class T>
-class GapWindow {
+class GapValues {
  public:
   void set_box(Box const& box) {
     box_ = box;

@@ -1,10 +1,10 @@
-#include "mesh/window_sums.hpp"
+#include "mesh/stencil_sums.hpp"
 
 namespace amrpic {
 
-std::vector<Real> window_sums(Real const* value, std::array<std::ptrdiff_t, 3> const& steps,
-                              std::vector<std::int64_t> const& place, std::vector<std::int64_t> const& kind,
-                              SharedStencils const& stencils) {
+std::vector<Real> stencil_sums(Real const* value, std::array<std::ptrdiff_t, 3> const& steps,
+                               std::vector<std::int64_t> const& place, std::vector<std::int64_t> const& kind,
+                               SharedStencils const& stencils) {
   std::size_t const rows = stencils.rows;
   std::vector<Real> out(place.size() * rows, 0.0);
   for (std::size_t c = 0; c < place.size(); ++c) {

@@ -299,6 +299,13 @@ def test_the_table_of_formulas_names_what_there_is():
                 assert name in files if "." in name else re.search(rf"\b{name}\b", text), name
 
 
+def test_pages_name_native_files_that_there_are():
+    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
+    named = {name for page in pages for name in re.findall(r"`(native/[\w/.]+)`", page.read_text())}
+    assert len(named) > 20
+    assert {name for name in named if not (ROOT / name).exists()} == set()
+
+
 def test_native_graph_has_no_cycle():
     assert all(folder not in NATIVE[below] for folder, belows in NATIVE.items() for below in belows)
 

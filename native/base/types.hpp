@@ -26,10 +26,4 @@ constexpr std::array<int, 2> tangential_axes(int axis) {
 /// Quotient rounded towards minus infinity; `b` > 0.
 KOKKOS_INLINE_FUNCTION constexpr int floor_divide(int a, int b) { return a >= 0 ? a / b : -((-a + b - 1) / b); }
 
-/// Elements [first, last) of a list.
-struct Range {
-  std::int32_t first = 0, last = 0;
-  bool empty() const { return first == last; }
-};
-
 }  // namespace amrpic

@@ -5,6 +5,7 @@
 #include <memory>
 #include <vector>
 
+#include "base/range.hpp"
 #include "mesh/fits.hpp"
 #include "mesh/hierarchy.hpp"
 #include "mesh/remote_reads.hpp"
@@ -15,9 +16,8 @@ namespace amrpic {
 /// A rectangle of values of a box, in its memory or as another rank sent it. Along u and v, the lower and the higher
 /// axis in the plane.
 struct Rectangle {
-  bool here;  ///< in this rank's memory
-  std::int32_t
-      from;  ///< place of the first value among the own cells (or fluxes) of its level, or of those of other ranks
+  bool here;            ///< in this rank's memory
+  std::int32_t from;    ///< place of the first value among the cells (or fluxes) of its level, own or remote
   std::int32_t pu, pv;  ///< distance between neighbours
   int u, v, nu, nv;     ///< where it lies, and how far it goes
 

@@ -7,7 +7,7 @@
 #include <type_traits>
 #include <vector>
 
-#include "base/types.hpp"
+#include "base/range.hpp"
 #include "cycle/row_kernels.hpp"
 
 namespace amrpic::kokkos {

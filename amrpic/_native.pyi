@@ -538,7 +538,7 @@ class BoxTable:
     def outer_faces(self) -> int:
         """Number of cell faces on the surface of the union of the boxes."""
 
-def window_sums(
+def stencil_sums(
     value: NDArray[numpy.float64],
     place: NDArray[numpy.int64],
     kind: NDArray[numpy.int64],
@@ -955,7 +955,7 @@ class RemoteBricks:
 
     def __len__(self) -> int: ...
 
-def brick_windows(hierarchy: Hierarchy, bricks: NDArray[numpy.int32], matched: bool) -> tuple:
+def brick_regions(hierarchy: Hierarchy, bricks: NDArray[numpy.int32], matched: bool) -> tuple:
     """
     What passes because of bricks, given by rows of level, box and number in it, where others serve them than own the cells: the place of each on the curve, and rows of brick, level, box and number of cells, of which the box's owner and the server exchange a component each way. From the boxes alone, whoever owns them.
     """

@@ -24,22 +24,26 @@ NATIVE = {
     "geometry": {"base"},
     "stencil": {"gmls", "base"},
     "mesh": {"stencil", "base"},
-    "operators": {"mesh", "stencil", "base"},
+    "multigrid": {"mesh", "stencil", "base"},
+    "matrices": {"multigrid", "mesh", "stencil", "base"},
     "freespace": {"mesh", "stencil", "base"},
     "fem": {"mesh", "base"},
     "material": {"base"},
     "mpm": {"fem", "material", "mesh", "base"},
-    "matrixfree": {"operators", "stencil", "mesh", "base"},
-    "kokkos": {"particle", "matrixfree", "operators", "stencil", "mesh", "base"},
-    "solver": {"kokkos", "matrixfree", "operators", "freespace", "fem", "stencil", "mesh", "base"},
+    "composite": {"multigrid", "stencil", "mesh", "base"},
+    "cycle": {"multigrid", "stencil", "mesh", "base"},
+    "kokkos": {"particle", "composite", "cycle", "multigrid", "stencil", "mesh", "base"},
+    "solver": {"kokkos", "composite", "cycle", "matrices", "multigrid", "freespace", "fem", "stencil", "mesh", "base"},
     "external": {"base"},
     "particle": {"external", "mesh", "stencil", "base"},
     "processor": set(),
     "bind": {
         "solver",
         "kokkos",
-        "matrixfree",
-        "operators",
+        "composite",
+        "cycle",
+        "matrices",
+        "multigrid",
         "freespace",
         "particle",
         "external",
@@ -58,8 +62,8 @@ NATIVE = {
 CONFINED = {
     r'#include\s*[<"](nanobind|Python)': {"bind", "processor"},
     r"#include\s*<(MueLu|Belos|Ifpack2|Amesos2|Zoltan2|Xpetra)": {"solver"},
-    r"#include\s*<(Tpetra|Teuchos)": {"base", "operators", "solver"},
-    r"\bParameterList\b": {"solver", "operators"},  # there in tpetra.hpp, what differs between releases
+    r"#include\s*<(Tpetra|Teuchos)": {"base", "matrices", "solver"},
+    r"\bParameterList\b": {"solver", "matrices"},  # there in tpetra.hpp, what differs between releases
     r"\bMPI_(?!Comm_f2c|Wtime)\w+\(": {"base"},  # `Communicator` and `Messages` send, and count
     r"#include\s*[<\"](hdf5|H5)": set(),  # h5py brings an HDF5 of its own, Trilinos another
 }
@@ -238,7 +242,7 @@ def test_what_is_compiled_once_knows_nothing_of_instruction_sets():
 LOOP_OVER_CELLS = re.compile(r"for_each_cell|for_rows|for \(\w+(::\w+)? (row|r|n|i) = ")
 
 
-@pytest.mark.parametrize("name", ["operators/sparse_matrix.cpp", "solver/multigrid.cpp", "solver/bicgstab.cpp"])
+@pytest.mark.parametrize("name", ["matrices/sparse_matrix.cpp", "solver/multigrid.cpp", "solver/bicgstab.cpp"])
 def test_a_cycle_on_compressed_rows_loops_over_no_cells_on_the_host(name):
     assert not LOOP_OVER_CELLS.search((ROOT / "native" / name).read_text())
 
@@ -255,7 +259,7 @@ WEIGHTS = re.compile(rf"(?<![\w.])({NUMBERS}|{QUOTIENTS})(?![\w.])")
 # Numbers that are no weights: how near to its centre corrections may vanish in a cell, from where copies are multipoles, and
 # those of the lattice's function.
 OTHER_NUMBERS = {
-    "operators/semicoarse.cpp": 1,
+    "multigrid/semicoarse.cpp": 1,
     "freespace/acceptance.hpp": 1,
     "freespace/lattice_green.cpp": 2,
     "freespace/lattice_green.hpp": 1,
@@ -286,18 +290,22 @@ def test_the_table_of_formulas_names_what_there_is():
     rows = [line.split(" | ") for line in table.splitlines() if line.startswith("| ") and "`" in line]
     assert len(rows) > 10
     files = {path.name: path for path in native_files()}
-    stencil = "".join(path.read_text() for path in native_files() if path.parent.name == "stencil")
-    for row in rows:
-        for name in re.findall(r"`([^`]+)`", " ".join(row[1:])):
-            assert (
-                name in files
-                if "." in name
-                else re.search(rf"\b{name}\b", stencil) or name in ("native/stencil", *OF_ROWS)
-            )
+    stencil, native = (
+        "".join(path.read_text() for path in native_files() if path.parent.name in folders)
+        for folders in ({"stencil"}, NATIVE)
+    )
+    for row in rows[1:]:
+        for column, cell in enumerate(row[1:]):
+            for name in re.findall(r"`([^`]+)`", cell):
+                text = stencil if column == 0 else native
+                assert name in files if "." in name else re.search(rf"\b{name}\b", text), name
 
 
-# Functions that the table names beside a file of native/operators.
-OF_ROWS = ("laplacian_form", "neighbour_value", "FormsNear", "fit_at", "restrict_mean", "prolong", "LinearForm")
+def test_pages_name_native_files_that_there_are():
+    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
+    named = {name for page in pages for name in re.findall(r"`(native/[\w/.]+)`", page.read_text())}
+    assert len(named) > 20
+    assert {name for name in named if not (ROOT / name).exists()} == set()
 
 
 def test_native_graph_has_no_cycle():
@@ -306,7 +314,7 @@ def test_native_graph_has_no_cycle():
 
 def test_forbidden_lines_are_found():
     assert forbidden_includes("mesh", '#include "solver/cycle.hpp"\n#include "base/types.hpp"') == {"solver"}
-    assert forbidden_includes("particle", '  #  include "operators/x.hpp"') == {"operators"}
+    assert forbidden_includes("particle", '  #  include "matrices/x.hpp"') == {"matrices"}
     stage, field = ("stages", "deposit"), ("mesh", "field")
     assert forbidden_imports(stage, "from .gather import gather\nfrom ..mesh.field import Field") == {"stages.gather"}
     assert forbidden_imports(stage, "def f():\n    from amrpic.stages.migrate import x") == {"stages.migrate"}

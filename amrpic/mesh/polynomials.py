@@ -72,7 +72,7 @@ class Fits:
         names, _, of = _kinds(surroundings, cells)
         kinds = np.array([self.number[name] for name in names], dtype=np.int64)[of]
         place = (cells + self.width) @ np.cumprod([1, *values.shape[:2]])
-        coefficients = _native.window_sums(values, place, kinds, self.first, self.offset, self.weight)
+        coefficients = _native.stencil_sums(values, place, kinds, self.first, self.offset, self.weight)
         out = np.zeros((coefficients.shape[1], *chosen.shape))
         out[(slice(None), *cells.T)] = coefficients.T
         return out

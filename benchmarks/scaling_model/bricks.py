@@ -129,7 +129,7 @@ def _sent(to: Array, size: Array) -> Sent:
 def served(bricks: Bricks, mesh: Hierarchy, matched: bool) -> Served:
     """Return who serves the particles on the ranks of a mesh, shared out by work as after a regrid. Local on virtual ranks."""
     ranks = mesh.comm.size
-    places, parts = _native.brick_windows(mesh.native, bricks.rows, matched)
+    places, parts = _native.brick_regions(mesh.native, bricks.rows, matched)
     counts = np.rint(bricks.particles).astype(np.int64)
     servers = share_out(mesh.comm, places, counts + brick_cost(mesh.comm, counts))
     inner = servers[1:-1]
@@ -146,7 +146,7 @@ def served(bricks: Bricks, mesh: Hierarchy, matched: bool) -> Served:
 def exchange(mesh: Hierarchy, rows: Array, pairs: Array, parts: Array, first: Array) -> Exchange:
     """Return what passes because of bricks, `rows` (n, 3), and ranks that serve particles of them, `pairs` (m, 2). Local.
 
-    `parts` is what `_native.brick_windows` returns of the bricks, `first` (n,) the lowest rank that serves each. A brick of a
+    `parts` is what `_native.brick_regions` returns of the bricks, `first` (n,) the lowest rank that serves each. A brick of a
     rank's own box needs no messages.
     """
     ranks, brick, server = mesh.comm.size, pairs[:, 0], pairs[:, 1]

@@ -7,7 +7,7 @@
 #include "bind/convert.hpp"
 #include "mesh/interpolate.hpp"
 #include "mesh/refine.hpp"
-#include "mesh/window_sums.hpp"
+#include "mesh/stencil_sums.hpp"
 
 namespace nb = nanobind;
 using namespace amrpic;
@@ -15,7 +15,7 @@ using namespace nb::literals;
 
 namespace {
 
-using Window = nb::ndarray<Real const, nb::ndim<3>, nb::f_contig, nb::device::cpu>;
+using Array3 = nb::ndarray<Real const, nb::ndim<3>, nb::f_contig, nb::device::cpu>;
 using Marks = nb::ndarray<std::uint8_t const, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 
 }  // namespace
@@ -83,8 +83,8 @@ void bind_cluster(nb::module_& m) {
       .def_prop_ro("outer_faces", &outer_faces, "Number of cell faces on the surface of the union of the boxes.");
 
   m.def(
-      "window_sums",
-      [](Window value, bind::Starts place, bind::Starts kind, bind::Starts first, bind::IntRows offset,
+      "stencil_sums",
+      [](Array3 value, bind::Starts place, bind::Starts kind, bind::Starts first, bind::IntRows offset,
          bind::RealRows weight) {
         std::array<std::ptrdiff_t, 3> const steps{1, std::ptrdiff_t(value.shape(0)),
                                                   std::ptrdiff_t(value.shape(0) * value.shape(1))};
@@ -94,7 +94,7 @@ void bind_cluster(nb::module_& m) {
         std::vector<Real> sums;
         {
           nb::gil_scoped_release release;
-          sums = window_sums(value.data(), steps, places, kinds, stencils);
+          sums = stencil_sums(value.data(), steps, places, kinds, stencils);
         }
         return bind::to_array(std::move(sums), {place.size(), weight.shape(1)});
       },

@@ -13,7 +13,7 @@
 #include "freespace/free_space.hpp"
 #include "freespace/lattice_green.hpp"
 #include "freespace/wall_counts.hpp"
-#include "operators/walls.hpp"
+#include "mesh/walls.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;

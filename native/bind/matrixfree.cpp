@@ -7,9 +7,9 @@
 #include "base/error.hpp"
 #include "bind/bind.hpp"
 #include "bind/convert.hpp"
-#include "matrixfree/capacity.hpp"
-#include "matrixfree/composite.hpp"
-#include "matrixfree/cycle.hpp"
+#include "composite/composite.hpp"
+#include "cycle/capacity.hpp"
+#include "cycle/cycle.hpp"
 
 namespace nb = nanobind;
 using namespace amrpic;
@@ -131,48 +131,48 @@ void bind_matrixfree(nb::module_& m) {
       [](std::vector<std::array<int, 6>> const& boxes, int halo) {
         std::vector<Box> all;
         for (auto const& b : boxes) all.push_back({{b[0], b[1], b[2]}, {b[3], b[4], b[5]}});
-        return matrixfree::padded_cells(all, halo);
+        return cycle::padded_cells(all, halo);
       },
       "boxes"_a, "halo"_a, "The most padded cells that boxes, each lower x, y, z and upper x, y, z, take with a halo.");
-  m.def("refusal_of_places", &matrixfree::refusal_of_places, "places"_a, "level"_a, "rank"_a,
+  m.def("refusal_of_places", &cycle::refusal_of_places, "places"_a, "level"_a, "rank"_a,
         "What is wrong with so many padded cells of a level on a rank; empty if nothing is.");
-  nb::class_<matrixfree::LevelWork>(m, "LevelWork")
-      .def_ro("level", &matrixfree::LevelWork::level, "0: the base; negative below it.")
-      .def_ro("cells", &matrixfree::LevelWork::cells, "Of this rank.")
-      .def_ro("stored", &matrixfree::LevelWork::stored, "Cells with copies of others'.")
-      .def_ro("relaxed", &matrixfree::LevelWork::relaxed, "Cells relaxed; without copies, cells times sweeps.")
-      .def_ro("sweeps", &matrixfree::LevelWork::sweeps)
-      .def_ro("neighbours", &matrixfree::LevelWork::neighbours, "Ranks with which this one exchanges values.")
-      .def_prop_ro("messages", [](matrixfree::LevelWork const& w) { return w.traffic.messages; })
-      .def_prop_ro("bytes", [](matrixfree::LevelWork const& w) { return w.traffic.bytes; })
-      .def_prop_ro("collectives", [](matrixfree::LevelWork const& w) { return w.traffic.collectives; });
+  nb::class_<cycle::LevelWork>(m, "LevelWork")
+      .def_ro("level", &cycle::LevelWork::level, "0: the base; negative below it.")
+      .def_ro("cells", &cycle::LevelWork::cells, "Of this rank.")
+      .def_ro("stored", &cycle::LevelWork::stored, "Cells with copies of others'.")
+      .def_ro("relaxed", &cycle::LevelWork::relaxed, "Cells relaxed; without copies, cells times sweeps.")
+      .def_ro("sweeps", &cycle::LevelWork::sweeps)
+      .def_ro("neighbours", &cycle::LevelWork::neighbours, "Ranks with which this one exchanges values.")
+      .def_prop_ro("messages", [](cycle::LevelWork const& w) { return w.traffic.messages; })
+      .def_prop_ro("bytes", [](cycle::LevelWork const& w) { return w.traffic.bytes; })
+      .def_prop_ro("collectives", [](cycle::LevelWork const& w) { return w.traffic.collectives; });
   m.def(
       "cycle_work",
       [](std::shared_ptr<Hierarchy const> hierarchy, int pre_sweeps, int post_sweeps, Real screening,
          Real3 const& stretch, int most_direct_readers) {
         nb::gil_scoped_release release;
         auto const stretched = hierarchy->stretched(stretch);
-        return matrixfree::Cycle(stretched->comm(), *stretched, screening * screening, {pre_sweeps, post_sweeps}, 2,
-                                 std::make_shared<GapFits>(), most_direct_readers)
+        return cycle::Cycle(stretched->comm(), *stretched, screening * screening, {pre_sweeps, post_sweeps}, 2,
+                            std::make_shared<GapFits>(), most_direct_readers)
             .work();
       },
       "hierarchy"_a, "pre_sweeps"_a, "post_sweeps"_a, "screening"_a = 0.0, "stretch"_a = Real3{1, 1, 1},
-      "most_direct_readers"_a = matrixfree::most_direct_readers,
+      "most_direct_readers"_a = cycle::most_direct_readers,
       "What one cycle takes of this rank, by levels, the coarsest first: it is rehearsed, and messages are counted. "
       "Local "
       "for a virtual rank, else collective.");
-  nb::class_<matrixfree::CyclePlans>(m, "CyclePlans")
+  nb::class_<cycle::CyclePlans>(m, "CyclePlans")
       .def(
           "__init__",
-          [](matrixfree::CyclePlans* self, std::shared_ptr<Hierarchy const> hierarchy, int pre_sweeps, int post_sweeps,
+          [](cycle::CyclePlans* self, std::shared_ptr<Hierarchy const> hierarchy, int pre_sweeps, int post_sweeps,
              Real screening, Real3 const& stretch) {
             nb::gil_scoped_release release;
             new (self)
-                matrixfree::CyclePlans(hierarchy->stretched(stretch), screening * screening, {pre_sweeps, post_sweeps});
+                cycle::CyclePlans(hierarchy->stretched(stretch), screening * screening, {pre_sweeps, post_sweeps});
           },
           "hierarchy"_a, "pre_sweeps"_a, "post_sweeps"_a, "screening"_a = 0.0, "stretch"_a = Real3{1, 1, 1},
           "What all ranks know of the cycle on the hierarchy of a virtual rank. Local.")
-      .def("work", &matrixfree::CyclePlans::work, "rank"_a, nb::call_guard<nb::gil_scoped_release>(),
+      .def("work", &cycle::CyclePlans::work, "rank"_a, nb::call_guard<nb::gil_scoped_release>(),
            "What `cycle_work` gives of another rank. Local.");
   nb::class_<Means>(m, "Means", "Leads from values at the centres of cells to means over them, and back.")
       .def(

@@ -1,4 +1,4 @@
-#include "operators/operators.hpp"
+#include "matrices/operators.hpp"
 
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>

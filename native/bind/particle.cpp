@@ -158,16 +158,16 @@ void bind_particle(nb::module_& m) {
       .def("__len__", [](RemoteBricks const& self) { return self.bricks().size(); });
 
   m.def(
-      "brick_windows",
+      "brick_regions",
       [](std::shared_ptr<Hierarchy const> hierarchy, bind::IntRows bricks, bool matched) {
         BrickCurve const curve(hierarchy->domain());
         std::vector<std::int64_t> places, parts;
         for (std::size_t n = 0; n < bricks.shape(0); ++n) {
-          BrickWindows const of = windows_of(*hierarchy, {bricks(n, 0), bricks(n, 1), bricks(n, 2)}, matched);
+          BrickRegions const of = regions_of(*hierarchy, {bricks(n, 0), bricks(n, 1), bricks(n, 2)}, matched);
           places.push_back(curve.place(of.home.level, of.cells.lower));
-          for (Window const& window : of.windows)
-            for (Overlap const& part : window.parts)
-              parts.insert(parts.end(), {std::int64_t(n), window.level, part.box, part.part.cells()});
+          for (Region const& region : of.regions)
+            for (Overlap const& part : region.parts)
+              parts.insert(parts.end(), {std::int64_t(n), region.level, part.box, part.part.cells()});
         }
         std::size_t const rows = parts.size() / 4;
         return nb::make_tuple(bind::to_array(std::move(places)), bind::to_array(std::move(parts), {rows, 4}));

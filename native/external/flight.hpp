@@ -101,14 +101,14 @@ struct Segment {
 
 /// The part of a segment between two planes: its share of the whole, and the place and the time (s) of its middle.
 template <class V>
-struct Part {
+struct SegmentPart {
   V share;
   Vector3<V> middle;
   V time;
 };
 
 template <class V>
-Part<V> part_inside(Slab const& slab, Segment<V> const& segment) {
+SegmentPart<V> part_inside(Slab const& slab, Segment<V> const& segment) {
   V const to_lower = segment.share_before(slab.lower), to_upper = segment.share_before(slab.upper);
   auto const from_above = segment.rise(slab.lower) < V{}, to_below = segment.rise(slab.upper) < V{};
   V const first = clamped(greater(select(from_above, V{}, to_lower), select(to_below, to_upper, V{})), 0, 1);
@@ -122,7 +122,7 @@ Part<V> part_inside(Slab const& slab, Segment<V> const& segment) {
 /// a drift, is taken to go on in the other half of that, whose change of velocity counts from where steps meet: that
 /// half is included, with the opposite sign. So flights that lie between the planes all along have none.
 template <class V>
-V moment_of(Slab const& slab, Segment<V> const& segment, Part<V> const& part, Flight<V> const& flight) {
+V moment_of(Slab const& slab, Segment<V> const& segment, SegmentPart<V> const& part, Flight<V> const& flight) {
   Real const lasts = flight.to - flight.from, sign = flight.from < 0 ? -1 : 1;
   auto const goes_on = contains(slab, sign < 0 ? segment.start : segment.end);
   return part.share * lasts * (part.time - flight.time) - zero_unless(goes_on, V{} + sign * lasts * lasts / 2);

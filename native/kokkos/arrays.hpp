@@ -7,7 +7,8 @@
 #include <type_traits>
 #include <vector>
 
-#include "matrixfree/row_kernels.hpp"
+#include "base/range.hpp"
+#include "cycle/row_kernels.hpp"
 
 namespace amrpic::kokkos {
 
@@ -61,19 +62,14 @@ Array<T> on_device(std::vector<T, Allocator> const& values) {
   return out;
 }
 
-/// Elements [first, last) of a list.
-struct Part {
-  std::int32_t first = 0, last = 0;
-};
-
-/// Run f(n) for n of a part, in any order.
+/// Run f(n) for n of a range, in any order.
 template <class F>
-void for_each(char const* name, Part const& part, F const& f) {
-  if (part.first < part.last) Kokkos::parallel_for(name, Kokkos::RangePolicy<Space>(part.first, part.last), f);
+void for_each(char const* name, Range const& range, F const& f) {
+  if (range.first < range.last) Kokkos::parallel_for(name, Kokkos::RangePolicy<Space>(range.first, range.last), f);
 }
 template <class T, class F>
 void for_each(char const* name, Array<T> const& list, F const& f) {
-  for_each(name, Part{0, std::int32_t(list.extent(0))}, f);
+  for_each(name, Range{0, std::int32_t(list.extent(0))}, f);
 }
 
 // ---- rows: on the host each is a thread's, which vectorises along it; elsewhere a team's ----
@@ -103,7 +99,7 @@ struct Worker {
   template <class F>
   KOKKOS_INLINE_FUNCTION void with_kind(int lanes, bool isotropic, F const& f) const {
     if constexpr (on_host)
-      matrixfree::with_kind(lanes, isotropic, f);
+      cycle::with_kind(lanes, isotropic, f);
     else
       f(std::integral_constant<int, 1>(), std::integral_constant<bool, false>());
   }
@@ -156,19 +152,19 @@ struct Reduction {
 
 }  // namespace rows
 
-/// Run f(worker, row) for the rows of a part.
+/// Run f(worker, row) for the rows of a range.
 template <class F>
-void for_each_row(char const* name, Part const& part, F const& f) {
-  if (part.first >= part.last) return;
+void for_each_row(char const* name, Range const& range, F const& f) {
+  if (range.first >= range.last) return;
   if constexpr (on_host)
-    Kokkos::parallel_for(name, Kokkos::RangePolicy<Space>(part.first, part.last), rows::Loop<F>{f, 0});
+    Kokkos::parallel_for(name, Kokkos::RangePolicy<Space>(range.first, range.last), rows::Loop<F>{f, 0});
   else
-    Kokkos::parallel_for(name, Kokkos::TeamPolicy<Space>(part.last - part.first, Kokkos::AUTO),
-                         rows::Loop<F>{f, part.first});
+    Kokkos::parallel_for(name, Kokkos::TeamPolicy<Space>(range.last - range.first, Kokkos::AUTO),
+                         rows::Loop<F>{f, range.first});
 }
 template <class T, class F>
 void for_each_row(char const* name, Array<T> const& list, F const& f) {
-  for_each_row(name, Part{0, std::int32_t(list.extent(0))}, f);
+  for_each_row(name, Range{0, std::int32_t(list.extent(0))}, f);
 }
 
 /// The sum, or the largest, of f(worker, row) over a list of rows.

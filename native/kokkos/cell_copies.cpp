@@ -43,7 +43,7 @@ CellCopies::Side CellCopies::side(std::vector<Parcel> const& parcels) {
   return out;
 }
 
-CellCopies::CellCopies(Communicator const& comm, matrixfree::RectangleExchange const& plan, Use use) {
+CellCopies::CellCopies(Communicator const& comm, cycle::RectangleExchange const& plan, Use use) {
   auto const lists = plan.lists();
   auto const turned = [](auto pairs) {
     for (auto& [to, from] : pairs) std::swap(to, from);

@@ -3,8 +3,8 @@
 #include <utility>
 
 #include "base/communicator.hpp"
+#include "cycle/rectangle_exchange.hpp"
 #include "kokkos/arrays.hpp"
-#include "matrixfree/rectangle_exchange.hpp"
 
 namespace amrpic::kokkos {
 
@@ -33,7 +33,7 @@ class CellCopies {
  public:
   enum class Use { update, add };
   CellCopies() = default;
-  CellCopies(Communicator const& comm, matrixfree::RectangleExchange const& plan, Use use);
+  CellCopies(Communicator const& comm, cycle::RectangleExchange const& plan, Use use);
 
   /// Fill the copies. Collective.
   void update(Array<float> const& cells, Array<float> const& copies) const;

@@ -4,11 +4,11 @@
 
 namespace amrpic::kokkos {
 
-using matrixfree::Parents;
+using cycle::Parents;
 
-Coarsening::Coarsening(Communicator const& comm, matrixfree::Coarsening& plan, SweptLevel& fine, SweptLevel& coarse)
+Coarsening::Coarsening(Communicator const& comm, cycle::Coarsening& plan, SweptLevel& fine, SweptLevel& coarse)
     : plan_(plan), fine_(fine), coarse_(coarse), values_(plan.values_.data(), plan.values_.size()) {
-  matrixfree::Layout const& layout = fine.plan().layout();
+  cycle::Layout const& layout = fine.plan().layout();
   std::vector<ParentRow> rows;
   std::vector<Block> blocks;
   for (std::size_t b = 0; b < layout.own_blocks(); ++b) {
@@ -54,9 +54,9 @@ void Coarsening::restrict_rows() {
       "restrict", on.parent_rows, KOKKOS_LAMBDA(Worker const& worker, std::int32_t n) {
         ParentRow const& of = on.parent_rows(n);
         Block const& block = on.blocks(of.block);
-        matrixfree::restrict_to<of_residual, true>(on.taking(of.block), of.y, of.z, level, level.rows + block.first_row,
-                                                   block.ny, block.nz, weight, level.composed_rows(), r.data(),
-                                                   e.data(), out.data(), worker);
+        cycle::restrict_to<of_residual, true>(on.taking(of.block), of.y, of.z, level, level.rows + block.first_row,
+                                              block.ny, block.nz, weight, level.composed_rows(), r.data(), e.data(),
+                                              out.data(), worker);
       });
 }
 
@@ -108,17 +108,17 @@ void Coarsening::prolong_rows(bool set) {
   for_each_row(
       "prolong", own, KOKKOS_LAMBDA(Worker const& worker, std::int32_t n) {
         RowPlace const& of = own(n);
-        matrixfree::Row const& row = level.rows[n];
+        cycle::Row const& row = level.rows[n];
         worker.with_kind(row.lanes, true, [&](auto lanes, auto) {
-          matrixfree::prolong<lanes()>(on.sources(of.block), of.j, of.k, row, values.data(), set, r.data(), e.data(),
-                                       worker);
+          cycle::prolong<lanes()>(on.sources(of.block), of.j, of.k, row, values.data(), set, r.data(), e.data(),
+                                  worker);
         });
         worker.barrier();
         clear_solid(level, row, e.data() + row.place, worker);
       });
 }
 
-void Coarsening::prolong(matrixfree::Into into) {
+void Coarsening::prolong(cycle::Into into) {
   parents_.update(coarse_.correction().array(), values_.array());
   auto const values = values_.array();
   auto const ghosts = lists_.ghosts;
@@ -126,7 +126,7 @@ void Coarsening::prolong(matrixfree::Into into) {
       "ghosts of coarse corrections", ghosts,
       KOKKOS_LAMBDA(std::int32_t n) { values(ghosts(n).to) = ghosts(n).factor * values(ghosts(n).from); });
   if (plan_.refines_) interface_.subtract_coarse(values, fine_.right_hand_side().array());
-  prolong_rows(into == matrixfree::Into::place);
+  prolong_rows(into == cycle::Into::place);
   fine_.corrections_are_new();
   if (has_gaps()) update_gaps();
   fine_.exchange_corrections(plan_.refines_);

@@ -1,19 +1,19 @@
 #pragma once
 
+#include "cycle/coarsening.hpp"
 #include "kokkos/interface_cells.hpp"
 #include "kokkos/swept_level.hpp"
-#include "matrixfree/coarsening.hpp"
 
 namespace amrpic::kokkos {
 
-/// What passes between a level and the next coarser one: the acts of a matrixfree::Coarsening, each one kernel over all
+/// What passes between a level and the next coarser one: the acts of a cycle::Coarsening, each one kernel over all
 /// rows.
 class Coarsening {
  public:
   /// All must outlive this. Collective.
-  Coarsening(Communicator const& comm, matrixfree::Coarsening& plan, SweptLevel& fine, SweptLevel& coarse);
+  Coarsening(Communicator const& comm, cycle::Coarsening& plan, SweptLevel& fine, SweptLevel& coarse);
 
-  /// Leave the coarser level's right-hand side: see matrixfree::Coarsening. All are collective.
+  /// Leave the coarser level's right-hand side: see cycle::Coarsening. All are collective.
   void prepare_residual();
   void restrict_residual();
   void restrict_right_hand_side();
@@ -24,7 +24,7 @@ class Coarsening {
 
   /// Fetch the coarser correction, take its part of the ghosts into the finer right-hand side, and add it to the finer
   /// correction, or put it in its place.
-  void prolong(matrixfree::Into into);
+  void prolong(cycle::Into into);
 
   std::size_t bytes() const;
 
@@ -43,7 +43,7 @@ class Coarsening {
     float factor;
   };
   struct Lists {
-    Array<matrixfree::Parents> sources, taking;
+    Array<cycle::Parents> sources, taking;
     Array<ParentRow> parent_rows;
     Array<Block> blocks;
     Array<Ghost> ghosts;
@@ -54,7 +54,7 @@ class Coarsening {
   void add_to_coarse_level();
   Array<float> const& target() const;
 
-  matrixfree::Coarsening& plan_;
+  cycle::Coarsening& plan_;
   SweptLevel& fine_;
   SweptLevel& coarse_;
   Mirrored<float> values_;

@@ -4,8 +4,8 @@
 #include <cmath>
 #include <limits>
 
-#include "matrixfree/composite_kernels.hpp"
-#include "matrixfree/gap_window.hpp"
+#include "composite/composite_kernels.hpp"
+#include "mesh/gap_values.hpp"
 #include "stencil/interface.hpp"
 #include "stencil/intergrid.hpp"
 
@@ -13,24 +13,24 @@ namespace amrpic::kokkos {
 
 // ---- what passes between ranks ----
 
-ImportBuffers::ImportBuffers(RemoteReads const& imports) {
+RemoteBuffers::RemoteBuffers(RemoteReads const& reads) {
   std::size_t sent = 0;
-  imports.for_each_asked([&](int, Read const& read) { sent += std::size_t(read.part.cells()); });
-  sent_ = Array<Real>("sent", sent), received_ = Array<Real>("received", std::size_t(imports.size()));
+  reads.for_each_asked([&](int, Read const& read) { sent += std::size_t(read.part.cells()); });
+  sent_ = Array<Real>("sent", sent), received_ = Array<Real>("received", std::size_t(reads.size()));
   host_sent_ = Kokkos::create_mirror_view(sent_), host_received_ = Kokkos::create_mirror_view(received_);
 }
 
-void ImportBuffers::pass(RemoteReads const& imports) const {
+void RemoteBuffers::pass(RemoteReads const& reads) const {
   Kokkos::deep_copy(host_sent_, sent_);
   Kokkos::fence();
   Real const* from = host_sent_.data();
-  imports.start([&](int, Read const& read, Real* out) {
+  reads.start([&](int, Read const& read, Real* out) {
     std::copy_n(from, read.part.cells(), out);
     from += read.part.cells();
   });
-  imports.finish();
-  imports.settle();
-  std::copy_n(imports.values(), imports.size(), host_received_.data());
+  reads.finish();
+  reads.settle();
+  std::copy_n(reads.values(), reads.size(), host_received_.data());
   Kokkos::deep_copy(received_, host_received_);
 }
 
@@ -52,12 +52,12 @@ void add_runs(Rectangle const& r, std::int32_t plane, int pitch, std::vector<Cop
 }
 
 /// Places of the cells around gaps, ~(place) of what other ranks sent.
-GapWindow<std::int32_t> places_around(LevelPlan const& plan, Box const& box, Range const& parts,
+GapValues<std::int32_t> places_around(LevelPlan const& plan, Box const& box, Range const& parts,
                                       std::vector<std::int32_t> const& own, std::vector<std::int32_t> const& received) {
-  GapWindow<std::int32_t> out;
+  GapValues<std::int32_t> out;
   out.set_box(box);
   for (int p = parts.first; p < parts.last; ++p) {
-    WindowPart const& part = plan.window_parts[std::size_t(p)];
+    RegionPart const& part = plan.region_parts[std::size_t(p)];
     out.copy_in(part.part, (part.here ? own : received).data() + part.from, part.pitch_y, part.pitch_z);
   }
   return out;
@@ -149,11 +149,11 @@ void Composite::plan_faces(int l, OnLevel& level, std::vector<CompositeBox>& box
       for (int r = i.coarse.first; r < i.coarse.last; ++r)
         add_runs(plan.coarse[std::size_t(r)], planes, plane_v, coarse);
       planes += plane_v * (i.nv + 2 * i.margin);
-      GapWindow<std::int32_t> coarse_window, window;
+      GapValues<std::int32_t> coarse_values, values;
       if (i.gaps >= 0) {
         Gaps const& gaps = plan.gaps[std::size_t(i.gaps)];
-        coarse_window = places_around(plan, gaps.coarse, gaps.coarse_parts, own_coarse, received);
-        window = places_around(plan, gaps.coarse.refine(refinement_ratio), gaps.parts, own, received);
+        coarse_values = places_around(plan, gaps.coarse, gaps.coarse_parts, own_coarse, received);
+        values = places_around(plan, gaps.coarse.refine(refinement_ratio), gaps.parts, own, received);
       }
       auto const add_face = [&, u = u, v = v](int m, int row, std::int32_t fit) {
         int const x = 2 * (i.u + m), y = 2 * (i.v + row);
@@ -171,7 +171,7 @@ void Composite::plan_faces(int l, OnLevel& level, std::vector<CompositeBox>& box
         for (auto const& term : fit.terms)
           (term.fine ? gaps_fine : gaps_coarse)
               .terms.push_back(
-                  {term.fine ? window(first_child_of(cell), term) : coarse_window(cell, term), term.weight});
+                  {term.fine ? values(first_child_of(cell), term) : coarse_values(cell, term), term.weight});
         gaps_fine.end_gap(), gaps_coarse.end_gap();
         add_face(m, row, ~gap_count++);
       });
@@ -243,11 +243,11 @@ void Composite::plan_rows(int l, OnLevel& level, std::vector<CompositeBox> const
 /// Means of the level's cells for the coarser one, and what passes to and from the finer one.
 void Composite::plan_exchanges(int l, OnLevel& level) {
   LevelPlan const& plan = mesh_.plan(l);
-  level.finer_fluxes = ImportBuffers(plan.finer_fluxes);
+  level.finer_fluxes = RemoteBuffers(plan.finer_fluxes);
   std::vector<CopiedRun> received, fluxes;
   if (mesh_.hierarchy().has_finer(l)) {
     Families const& covered = mesh_.transfer().families(l);
-    level.finer_means = ImportBuffers(covered.means);
+    level.finer_means = RemoteBuffers(covered.means);
     for (RemoteFamily const& family : covered.remote)
       family.for_each_row([&](std::int32_t from, std::int32_t parent) {
         received.push_back({~from, 1, parent, family.parents[0]});
@@ -360,9 +360,9 @@ struct Sizes {
                                    Value const& value) const {
     Real out = 0;
     if constexpr (on_host) {
-      Real values[matrixfree::chunk];
-      for (int first = 0; first < n; first += matrixfree::chunk) {
-        int const last = n < first + matrixfree::chunk ? n : first + matrixfree::chunk;
+      Real values[cycle::chunk];
+      for (int first = 0; first < n; first += cycle::chunk) {
+        int const last = n < first + cycle::chunk ? n : first + cycle::chunk;
         along(first, last, n, here, left, right, [&](int i, T x, T y) { values[i - first] = value(i, x, y); });
         join(out, of_all(values, last - first));
       }

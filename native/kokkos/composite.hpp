@@ -1,9 +1,9 @@
 #pragma once
 
+#include "composite/composite_mesh.hpp"
+#include "composite/composite_residual.hpp"
 #include "kokkos/fits.hpp"
 #include "kokkos/swept_level.hpp"
-#include "matrixfree/composite_mesh.hpp"
-#include "matrixfree/composite_residual.hpp"
 
 namespace amrpic::kokkos {
 
@@ -53,14 +53,14 @@ struct ParentRun {
 };
 
 /// Cells that others sent, or that are sent to them.
-class ImportBuffers {
+class RemoteBuffers {
  public:
-  ImportBuffers() = default;
-  explicit ImportBuffers(RemoteReads const& imports);
+  RemoteBuffers() = default;
+  explicit RemoteBuffers(RemoteReads const& reads);
   Array<Real> const& sent() const { return sent_; }
   Array<Real> const& received() const { return received_; }
   /// Exchange them. Collective.
-  void pass(RemoteReads const& imports) const;
+  void pass(RemoteReads const& reads) const;
 
  private:
   Array<Real> sent_, received_;
@@ -104,7 +104,7 @@ class Composite {
     Array<CopiedRun> sent_cells, sent_fluxes, received_means;
     Array<ParentRun> families, sent_means;  ///< of the coarser level
     Array<Real> ghosts, planes, fluxes;
-    ImportBuffers finer_fluxes, finer_means;
+    RemoteBuffers finer_fluxes, finer_means;
     Mirrored<Real> phi, rho, datum;
   };
 
@@ -121,7 +121,7 @@ class Composite {
   CompositeMesh& mesh_;
   std::vector<SweptLevel*> swept_;
   std::vector<OnLevel> levels_;
-  ImportBuffers cells_;
+  RemoteBuffers cells_;
   NumberedFits fits_;
   std::size_t bytes_ = 0;
 };

@@ -2,7 +2,7 @@
 
 namespace amrpic::kokkos {
 
-Cycle::Cycle(Communicator const& comm, matrixfree::Cycle& plan) : LevelActs(plan.levels(), plan.sweeps()), plan_(plan) {
+Cycle::Cycle(Communicator const& comm, cycle::Cycle& plan) : LevelActs(plan.levels(), plan.sweeps()), plan_(plan) {
   make([&](std::size_t l) { return std::make_unique<SweptLevel>(comm, plan.swept(l)); },
        [&](std::size_t l, std::size_t c) {
          return std::make_unique<Coarsening>(comm, plan.passage(c), swept(l), swept(c));

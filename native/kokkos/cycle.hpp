@@ -1,21 +1,21 @@
 #pragma once
 
+#include "cycle/cycle.hpp"
 #include "kokkos/coarsening.hpp"
-#include "matrixfree/cycle.hpp"
 
 namespace amrpic::kokkos {
 
-/// A matrixfree::Cycle by kernels, one for each level and act. It makes no plans of its own.
-class Cycle : public matrixfree::LevelActs<SweptLevel, Coarsening> {
+/// A cycle::Cycle by kernels, one for each level and act. It makes no plans of its own.
+class Cycle : public cycle::LevelActs<SweptLevel, Coarsening> {
  public:
   /// `plan` must outlive this. Collective.
-  Cycle(Communicator const& comm, matrixfree::Cycle& plan);
+  Cycle(Communicator const& comm, cycle::Cycle& plan);
 
   /// By the host, which has its few cells on every rank.
   void solve_coarsest() override;
 
  private:
-  matrixfree::Cycle& plan_;
+  cycle::Cycle& plan_;
 };
 
 }  // namespace amrpic::kokkos

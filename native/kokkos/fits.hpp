@@ -1,7 +1,7 @@
 #pragma once
 
 #include "kokkos/arrays.hpp"
-#include "matrixfree/fits.hpp"
+#include "mesh/fits.hpp"
 
 namespace amrpic::kokkos {
 

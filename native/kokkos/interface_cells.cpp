@@ -6,11 +6,11 @@
 
 namespace amrpic::kokkos {
 
-InterfaceCells::InterfaceCells(matrixfree::InterfaceCells const& plan, matrixfree::Layout const& layout) {
-  std::vector<matrixfree::InterfaceSteps> sides;
+InterfaceCells::InterfaceCells(cycle::InterfaceCells const& plan, cycle::Layout const& layout) {
+  std::vector<cycle::InterfaceSteps> sides;
   std::vector<Face> faces;
   GapTerms::Lists coarse_terms, fine_terms;
-  std::vector<std::int32_t> places;  // of all cells, for windows
+  std::vector<std::int32_t> places;  // of all cells, for gaps
   if (!plan.gaps_.empty()) {
     places.resize(layout.size());
     std::iota(places.begin(), places.end(), 0);
@@ -21,10 +21,10 @@ InterfaceCells::InterfaceCells(matrixfree::InterfaceCells const& plan, matrixfre
     for (auto const& side : plan.faces_) {
       if (2 * side.axis + side.side != direction) continue;
       auto const [axis_u, axis_v] = tangential_axes(side.axis);
-      GapWindow<std::int32_t> window;
-      if (side.gaps > 0) window.set_box(side.window);
+      GapValues<std::int32_t> values;
+      if (side.gaps > 0) values.set_box(side.region);
       for (std::size_t p = side.first_part; p < side.first_part + side.parts; ++p)
-        window.copy_in(plan.parts_[p].part, &places[std::size_t(plan.parts_[p].from.origin)],
+        values.copy_in(plan.parts_[p].part, &places[std::size_t(plan.parts_[p].from.origin)],
                        plan.parts_[p].from.pitch_y, plan.parts_[p].from.pitch_z);
       std::size_t gap = side.first_gap;
       for (int v = 0; v < side.nv; ++v)
@@ -39,7 +39,7 @@ InterfaceCells::InterfaceCells(matrixfree::InterfaceCells const& plan, matrixfre
             child[axis_u] += 2 * u, child[axis_v] += 2 * v;
             for (auto const& term : plan.gaps_[gap]->terms) {
               auto const& o = term.offset;
-              auto const place = term.fine ? window(child, term)
+              auto const place = term.fine ? values(child, term)
                                            : std::int32_t(face.parent + o[std::size_t(axis_u)] * side.parent_u +
                                                           o[std::size_t(axis_v)] * side.parent_v +
                                                           o[std::size_t(side.axis)] * side.parent_normal);
@@ -63,7 +63,7 @@ void InterfaceCells::subtract_coarse(Array<float> const& coarse_values, Array<fl
   for_each_face(
       "take ghosts", KOKKOS_LAMBDA(std::int32_t n) {
         Face const& face = on.faces(n);
-        matrixfree::InterfaceSteps const& side = on.sides(face.side);
+        cycle::InterfaceSteps const& side = on.sides(face.side);
         FourStars<float> stars{};
         if (face.fit >= 0)
           stars = on.fits.stars(face.fit, &coarse_values(face.parent), side.parent_u, side.parent_v);
@@ -90,14 +90,14 @@ void InterfaceCells::subtract_flux(Array<float> const& e, Array<float> const& co
   for_each_face(
       "take fluxes", KOKKOS_LAMBDA(std::int32_t n) {
         Face const& face = on.faces(n);
-        matrixfree::InterfaceSteps const& side = on.sides(face.side);
+        cycle::InterfaceSteps const& side = on.sides(face.side);
         coarse_values(face.parent) -= side.flux(&e(face.cell));
         if (face.fit < 0) coarse_values(face.parent) += side.flux_of_ghosts(on.taken(~face.fit));
       });
 }
 
 std::size_t InterfaceCells::bytes() const {
-  return lists_.faces.extent(0) * sizeof(Face) + lists_.sides.extent(0) * sizeof(matrixfree::InterfaceSteps) +
+  return lists_.faces.extent(0) * sizeof(Face) + lists_.sides.extent(0) * sizeof(cycle::InterfaceSteps) +
          lists_.coarse_terms.bytes() + lists_.fine_terms.bytes() + lists_.taken.extent(0) * sizeof(FourStars<float>);
 }
 

@@ -1,18 +1,18 @@
 #pragma once
 
+#include "cycle/interface_cells.hpp"
 #include "kokkos/fits.hpp"
-#include "matrixfree/interface_cells.hpp"
 
 namespace amrpic::kokkos {
 
-/// A matrixfree::InterfaceCells as lists of coarse faces. Faces of one direction share no cell, so each act is a kernel
+/// A cycle::InterfaceCells as lists of coarse faces. Faces of one direction share no cell, so each act is a kernel
 /// for each of the six.
 class InterfaceCells {
  public:
   InterfaceCells() = default;
-  InterfaceCells(matrixfree::InterfaceCells const& plan, matrixfree::Layout const& layout);
+  InterfaceCells(cycle::InterfaceCells const& plan, cycle::Layout const& layout);
 
-  /// See matrixfree::InterfaceCells.
+  /// See cycle::InterfaceCells.
   void start() { Kokkos::deep_copy(lists_.taken, FourStars<float>{}); }
   void subtract_coarse(Array<float> const& coarse_values, Array<float> const& r) const;
   void subtract_in_gaps(Array<float> const& e, Array<float> const& r) const;
@@ -26,7 +26,7 @@ class InterfaceCells {
     std::int32_t fit;  ///< its number, or ~(that of the gap)
   };
   struct Lists {
-    Array<matrixfree::InterfaceSteps> sides;
+    Array<cycle::InterfaceSteps> sides;
     Array<Face> faces;
     NumberedFits fits;
     GapTerms coarse_terms, fine_terms;
@@ -36,11 +36,11 @@ class InterfaceCells {
  private:
   template <class F>
   void for_each_face(char const* name, F const& f) const {
-    for (Part const& part : of_direction_) for_each(name, part, f);
+    for (Range const& part : of_direction_) for_each(name, part, f);
   }
 
   Lists lists_;
-  std::array<Part, 6> of_direction_;
+  std::array<Range, 6> of_direction_;
 };
 
 }  // namespace amrpic::kokkos

@@ -2,11 +2,11 @@
 
 namespace amrpic::kokkos {
 
-SweptLevel::SweptLevel(Communicator const& comm, matrixfree::SweptLevel& plan)
+SweptLevel::SweptLevel(Communicator const& comm, cycle::SweptLevel& plan)
     : plan_(plan),
       r_(plan.right_hand_side().data(), plan.right_hand_side().size()),
       e_(plan.correction().data(), plan.correction().size()) {
-  matrixfree::Stencil const& stencil = plan.stencil();
+  cycle::Stencil const& stencil = plan.stencil();
   auto const &first_rows = stencil.first_rows(), &first_composed = stencil.first_composed();
   auto const together = [&](std::size_t first, std::size_t last) {
     auto const first_run = [&](std::size_t block) { return stencil.first_runs()[std::size_t(first_composed[block])]; };
@@ -25,7 +25,7 @@ SweptLevel::SweptLevel(Communicator const& comm, matrixfree::SweptLevel& plan)
   rows_ = on_device(stencil.all_rows());
   runs_ = on_device(stencil.runs());
   coefficients_ = on_device(stencil.coefficients());
-  static_cast<matrixfree::RowTable&>(tables_) = stencil.table();
+  static_cast<cycle::RowTable&>(tables_) = stencil.table();
   tables_.rows = rows_.data(), tables_.runs = runs_.data(), tables_.coefficients = coefficients_.data();
   tables_.first_run = nullptr;  // rows are composed run by run
   metal_of_ = on_device(stencil.metal_of()), metal_rows_ = on_device(stencil.metal_rows());
@@ -46,7 +46,7 @@ SweptLevel::SweptLevel(Communicator const& comm, matrixfree::SweptLevel& plan)
 }
 
 /// Set composed rows, or their differences to the rows that they lie beside.
-void SweptLevel::compose(Part const& runs, bool differences) {
+void SweptLevel::compose(Range const& runs, bool differences) {
   LevelTables const level = tables_;
   auto const e = e_.array();
   for_each_row(
@@ -56,21 +56,21 @@ void SweptLevel::compose(Part const& runs, bool differences) {
 }
 
 /// One colour of some rows, at most `reach` steps from own cells.
-void SweptLevel::half_sweep(Part const& rows, matrixfree::HalfSweep const& half, int reach) {
+void SweptLevel::half_sweep(Range const& rows, cycle::HalfSweep const& half, int reach) {
   LevelTables const level = tables_;
   auto const r = r_.array(), e = e_.array();
   int const colour = half.colour;
   bool const from_zero = half.is_fresh;
   for_each_row(
       "relax", rows, KOKKOS_LAMBDA(Worker const& worker, std::int32_t n) {
-        matrixfree::Row const& row = level.rows[n];
+        cycle::Row const& row = level.rows[n];
         if (row.steps > reach) return;
         worker.with_kind(row.lanes, level.isotropic, [&](auto lanes, auto isotropic) {
           if (from_zero)
-            matrixfree::relax_from_zero<lanes(), true>(level, row, colour, r.data(), e.data(), worker);
+            cycle::relax_from_zero<lanes(), true>(level, row, colour, r.data(), e.data(), worker);
           else
-            matrixfree::relax<lanes(), isotropic(), true>(level, row, colour, level.composed_rows(), r.data(), e.data(),
-                                                          worker);
+            cycle::relax<lanes(), isotropic(), true>(level, row, colour, level.composed_rows(), r.data(), e.data(),
+                                                     worker);
         });
       });
 }
@@ -79,7 +79,7 @@ void SweptLevel::half_sweep(Part const& rows, matrixfree::HalfSweep const& half,
 void SweptLevel::bring(int colours) {
   if (!plan_.is_thin() || !plan_.has_halo()) return;
   for (int colour : {0, 1})
-    if (colours & stale_ & matrixfree::colour_bit(colour))
+    if (colours & stale_ & cycle::colour_bit(colour))
       halo_of_colour_[std::size_t(colour)].update(e_.array(), e_.array());
   stale_ &= ~colours;
 }
@@ -91,7 +91,7 @@ void SweptLevel::relax(int sweeps, bool from_zero, int further) {
   }
   int reach = further + 2 * sweeps - 1;
   for (int half = 0; half < 2 * sweeps; ++half, --reach) {
-    matrixfree::HalfSweep const h(half, from_zero);
+    cycle::HalfSweep const h(half, from_zero);
     bring(h.reads);
     for (Together const& part : together_) {
       if (!h.is_fresh) compose(part.runs, false);
@@ -102,7 +102,7 @@ void SweptLevel::relax(int sweeps, bool from_zero, int further) {
 }
 
 void SweptLevel::prepare_residual() {
-  bring(matrixfree::both_colours);
+  bring(cycle::both_colours);
   if (plan_.has_odd_ring()) exchange_corrections(false);  // copies behind it have not been swept as their cells were
   compose({0, std::int32_t(runs_.extent(0))}, tables_.in_differences);
 }
@@ -118,9 +118,9 @@ void SweptLevel::exchange_corrections(bool boundary_changed) {
 }
 
 std::size_t SweptLevel::bytes() const {
-  return rows_.extent(0) * sizeof(matrixfree::Row) + own_rows_.extent(0) * sizeof(RowPlace) +
-         runs_.extent(0) * sizeof(matrixfree::ScaledRun) + metal_rows_.extent(0) * sizeof(matrixfree::MetalRow) +
-         cuts_.extent(0) * sizeof(matrixfree::CutPlace) + solids_.extent(0) * sizeof(matrixfree::SolidRun) +
+  return rows_.extent(0) * sizeof(cycle::Row) + own_rows_.extent(0) * sizeof(RowPlace) +
+         runs_.extent(0) * sizeof(cycle::ScaledRun) + metal_rows_.extent(0) * sizeof(cycle::MetalRow) +
+         cuts_.extent(0) * sizeof(cycle::CutPlace) + solids_.extent(0) * sizeof(cycle::SolidRun) +
          (cut_values_.extent(0) + composed_.extent(0) + coefficients_.extent(0)) * sizeof(float) + halo_.bytes() +
          edge_halo_.bytes() + halo_of_colour_[0].bytes() + halo_of_colour_[1].bytes();
 }

@@ -2,8 +2,8 @@
 
 #include <array>
 
+#include "cycle/swept_level.hpp"
 #include "kokkos/cell_copies.hpp"
-#include "matrixfree/swept_level.hpp"
 
 namespace amrpic::kokkos {
 
@@ -14,7 +14,7 @@ struct RowPlace {
 };
 
 /// The row table of a level, and its composed rows, in the kernels' memory.
-struct LevelTables : matrixfree::RowTable {
+struct LevelTables : cycle::RowTable {
   float* composed;
 
   /// Where composed rows are.
@@ -28,19 +28,19 @@ struct LevelTables : matrixfree::RowTable {
   KOKKOS_INLINE_FUNCTION Composed composed_rows() const { return {composed, composed_pitch}; }
 };
 
-/// A level of the cycle in the kernels' memory: the sweeps of a matrixfree::SweptLevel, each half of one kernel over
+/// A level of the cycle in the kernels' memory: the sweeps of a cycle::SweptLevel, each half of one kernel over
 /// all rows. The two share what they are made of, and on the host the values.
 class SweptLevel {
  public:
   /// `plan` must outlive this. Collective.
-  SweptLevel(Communicator const& comm, matrixfree::SweptLevel& plan);
+  SweptLevel(Communicator const& comm, cycle::SweptLevel& plan);
 
-  /// See matrixfree::SweptLevel. All are collective.
+  /// See cycle::SweptLevel. All are collective.
   void relax(int sweeps, bool from_zero, int further);
   void exchange_right_hand_sides();
   void exchange_corrections(bool boundary_changed);
   void finish() {}
-  void corrections_are_new() { stale_ = matrixfree::both_colours; }
+  void corrections_are_new() { stale_ = cycle::both_colours; }
   /// Bring what a residual in own cells reads.
   void prepare_residual();
 
@@ -48,35 +48,35 @@ class SweptLevel {
   Array<RowPlace> const& own_rows() const { return own_rows_; }
   Mirrored<float> const& right_hand_side() const { return r_; }
   Mirrored<float> const& correction() const { return e_; }
-  matrixfree::SweptLevel& plan() const { return plan_; }
+  cycle::SweptLevel& plan() const { return plan_; }
 
   std::size_t bytes() const;
 
   // Parts of `relax`, public because CUDA wants members with kernels to be.
-  void compose(Part const& runs, bool differences);
-  void half_sweep(Part const& rows, matrixfree::HalfSweep const& half, int reach);
+  void compose(Range const& runs, bool differences);
+  void half_sweep(Range const& rows, cycle::HalfSweep const& half, int reach);
 
  private:
   void bring(int colours);
 
-  matrixfree::SweptLevel& plan_;
-  Array<matrixfree::Row> rows_;
-  Array<matrixfree::ScaledRun> runs_;
+  cycle::SweptLevel& plan_;
+  Array<cycle::Row> rows_;
+  Array<cycle::ScaledRun> runs_;
   Array<std::int32_t> metal_of_;
-  Array<matrixfree::MetalRow> metal_rows_;
-  Array<matrixfree::CutPlace> cuts_;
-  Array<matrixfree::SolidRun> solids_;
+  Array<cycle::MetalRow> metal_rows_;
+  Array<cycle::CutPlace> cuts_;
+  Array<cycle::SolidRun> solids_;
   Array<float> composed_, coefficients_, cut_values_;
   LevelTables tables_;
   Array<RowPlace> own_rows_;
   struct Together {
-    Part rows, runs;
+    Range rows, runs;
   };
   std::vector<Together> together_;  ///< rows that may be relaxed at once, and what composes those beside them
   Mirrored<float> r_, e_;
   CellCopies halo_, edge_halo_;
   std::array<CellCopies, 2> halo_of_colour_;
-  int stale_ = matrixfree::both_colours;
+  int stale_ = cycle::both_colours;
 };
 
 }  // namespace amrpic::kokkos

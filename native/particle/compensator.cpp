@@ -272,23 +272,23 @@ void Compensator::add_to_coarse(std::size_t slot, std::size_t r, CoarseCells con
 }
 
 void Compensator::add_to_remote(std::size_t brick, std::size_t w, Tile<per_cell>& tile) {
-  std::vector<Window> const& windows = plan_.bricks()[brick].windows;
-  Window const& window = windows[w];
-  Level const& level = hierarchy_.level(window.level);
+  std::vector<Region> const& regions = plan_.bricks()[brick].regions;
+  Region const& region = regions[w];
+  Level const& level = hierarchy_.level(region.level);
   auto const value = [&](std::size_t n, Index3 const& cell) {
-    return remote_.data() + plan_.first(brick, n) + windows[n].cells.offset(cell);
+    return remote_.data() + plan_.first(brick, n) + regions[n].cells.offset(cell);
   };
   OccupiedRows const rows(tile.cells().grow(-tile_reach));
-  begin(window.level, rows.box(), rows);
+  begin(region.level, rows.box(), rows);
   values_.assign(value(w, cells_.lower), value(w, cells_.lower) + cells_.cells());
-  if (!window.whole && w + 1 < windows.size()) {
+  if (!region.whole && w + 1 < regions.size()) {
     auto const coarse = [&](Index3 const& from) -> Real const* {
-      for (Overlap const& o : windows[w + 1].parts)
+      for (Overlap const& o : regions[w + 1].parts)
         if (o.part.contains(from)) return value(w + 1, from);
       return nullptr;
     };
-    for_each_missing(level, window, [&](Index3 const& cell) {
-      values_[std::size_t(cells_.offset(cell))] = interpolated(cell, hierarchy_.level(window.level - 1), coarse);
+    for_each_missing(level, region, [&](Index3 const& cell) {
+      values_[std::size_t(cells_.offset(cell))] = interpolated(cell, hierarchy_.level(region.level - 1), coarse);
     });
   }
   for_each_cell(cells_, [&](Index3 const& cell) {

@@ -36,8 +36,8 @@ class Compensator {
   void add_to_plane(int k, Tile<per_cell>& tile);
   /// The tile of clouds that are r levels coarser than their box.
   void add_to_coarse(std::size_t slot, std::size_t r, CoarseCells const& at, Tile<per_cell>& tile);
-  /// The tile of a window of a remote brick.
-  void add_to_remote(std::size_t brick, std::size_t window, Tile<per_cell>& tile);
+  /// The tile of a region of a remote brick.
+  void add_to_remote(std::size_t brick, std::size_t region, Tile<per_cell>& tile);
 
  private:
   void begin(int level, Box const& tile, OccupiedRows const& rows);
@@ -74,7 +74,7 @@ class Compensator {
   DensityPlaces const& places_;
   RemotePlan const& plan_;
   std::vector<std::vector<Real>> halos_;  ///< of each level
-  std::vector<Real> remote_;              ///< in all windows
+  std::vector<Real> remote_;              ///< in all regions
   // of the tile under way, or of the box whose slabs they are
   BoxGhosts const* box_ = nullptr;
   bool is_whole_ = false;  ///< see DensityPlaces

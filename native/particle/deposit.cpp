@@ -254,18 +254,18 @@ void add_coarse_tile(ChargeTile& tile, CoarseCells const& at, Real per_cell, Cha
   });
 }
 
-/// Collects the charge of remote bricks in their windows.
+/// Collects the charge of remote bricks in their regions.
 class RemoteCharge {
  public:
   RemoteCharge(Hierarchy const& hierarchy, RemotePlan& plan, Real charge)
       : hierarchy_(hierarchy), plan_(plan), charge_(charge), values_(plan.cells(), Real(0)) {}
 
-  /// Take the sums of a window out of a tile on the same cells.
-  void take(std::size_t brick, std::size_t window, ChargeTile& tile) {
-    Window const& of = plan_.bricks()[brick].windows[window];
+  /// Take the sums of a region out of a tile on the same cells.
+  void take(std::size_t brick, std::size_t region, ChargeTile& tile) {
+    Region const& of = plan_.bricks()[brick].regions[region];
     Real const per_cell = charge_ / hierarchy_.level(of.level).cell_volume();
     std::size_t const cells = std::size_t(of.cells.cells());
-    Real *const sums = tile.values(), *const out = values_.data() + plan_.first(brick, window);
+    Real *const sums = tile.values(), *const out = values_.data() + plan_.first(brick, region);
     for (std::size_t n = 0; n < cells; ++n) out[n] += per_cell * sums[n];
     std::fill_n(sums, cells, Real(0));
   }
@@ -273,19 +273,19 @@ class RemoteCharge {
   /// What overhangs walls moves to the cells there, and what lies in cells that the level lacks to coarser ones, of
   /// eight times their volume.
   void settle(std::size_t brick) {
-    std::vector<Window> const& windows = plan_.bricks()[brick].windows;
-    for (std::size_t w = 0; w < windows.size(); ++w) {
-      Level const& level = hierarchy_.level(windows[w].level);
-      Box const& cells = windows[w].cells;
+    std::vector<Region> const& regions = plan_.bricks()[brick].regions;
+    for (std::size_t w = 0; w < regions.size(); ++w) {
+      Level const& level = hierarchy_.level(regions[w].level);
+      Box const& cells = regions[w].cells;
       Real* const values = values_.data() + plan_.first(brick, w);
       if (!(level.cut_at_walls(cells) == cells))
         for_each_cell(cells, [&](Index3 const& cell) {
           Index3 const at = level.fold_at_walls(cell);
           if (at != cell) values[cells.offset(at)] += std::exchange(values[cells.offset(cell)], Real(0));
         });
-      if (windows[w].whole || w + 1 == windows.size()) continue;
-      Window const& coarser = windows[w + 1];
-      for_each_missing(level, windows[w], [&](Index3 const& cell) {
+      if (regions[w].whole || w + 1 == regions.size()) continue;
+      Region const& coarser = regions[w + 1];
+      for_each_missing(level, regions[w], [&](Index3 const& cell) {
         values_[plan_.first(brick, w + 1) + std::size_t(coarser.cells.offset(parent_of(cell)))] +=
             values[cells.offset(cell)] / 8;
       });
@@ -403,7 +403,7 @@ class Deposition::Sums {
   bool is_occupied(std::size_t slot) const { return in_slot(slot) > 0; }
   bool is_box(std::size_t slot) const { return slot < boxes_; }
   int level_of(std::size_t slot) const { return is_box(slot) ? mesh_.boxes()[slot].level : brick(slot).home.level; }
-  BrickWindows const& brick(std::size_t slot) const { return remote_plan_.bricks()[slot - boxes_]; }
+  BrickRegions const& brick(std::size_t slot) const { return remote_plan_.bricks()[slot - boxes_]; }
   Box cells_of_slot(std::size_t slot) const {
     return is_box(slot) ? hierarchy_.level(level_of(slot)).box(mesh_.boxes()[slot].box) : brick(slot).cells;
   }

@@ -325,32 +325,32 @@ void read_clouds(TileFrame const& frame, ParticleView const& particles, Chosen c
   frame.require_inside(all_in, particles, chosen);
 }
 
-/// The field in the windows of remote bricks.
+/// The field in the regions of remote bricks.
 class RemoteField {
  public:
   /// Collective.
   RemoteField(ElectricField const& field, RemotePlan const& plan)
       : hierarchy_(field.hierarchy()), plan_(plan), values_(plan.read(field)) {}
 
-  /// Bring a window into a tile on the same cells.
+  /// Bring a region into a tile on the same cells.
   void fill(std::size_t brick, std::size_t w, Tile<lanes>& tile) const {
-    std::vector<Window> const& windows = plan_.bricks()[brick].windows;
-    Window const& window = windows[w];
-    Level const& level = hierarchy_.level(window.level);
-    Real const* value = at(brick, w, window.cells.lower);
-    for_each_row(window.cells, [&](Index3 const& first) {
+    std::vector<Region> const& regions = plan_.bricks()[brick].regions;
+    Region const& region = regions[w];
+    Level const& level = hierarchy_.level(region.level);
+    Real const* value = at(brick, w, region.cells.lower);
+    for_each_row(region.cells, [&](Index3 const& first) {
       Real* out = tile.row(first[0], first[1], first[2]);
-      for (int n = 0; n < window.cells.extent(0); ++n, value += components, out += lanes)
+      for (int n = 0; n < region.cells.extent(0); ++n, value += components, out += lanes)
         store(out, Cell{value[0], value[1], value[2], 0});
     });
-    if (!window.whole && w + 1 < windows.size())
-      for_each_missing(level, window, [&](Index3 const& cell) {
+    if (!region.whole && w + 1 < regions.size())
+      for_each_missing(level, region, [&](Index3 const& cell) {
         interpolate(
-            cell, hierarchy_.level(window.level - 1), [&](Index3 const& from) { return at(brick, w + 1, from); },
+            cell, hierarchy_.level(region.level - 1), [&](Index3 const& from) { return at(brick, w + 1, from); },
             tile.row(cell[0], cell[1], cell[2]));
       });
-    if (Box const inside = level.cut_at_walls(window.cells); !(inside == window.cells))
-      for_each_cell(window.cells, [&](Index3 const& cell) {
+    if (Box const inside = level.cut_at_walls(region.cells); !(inside == region.cells))
+      for_each_cell(region.cells, [&](Index3 const& cell) {
         Index3 const from = level.fold_at_walls(cell);
         if (from != cell) store(tile.row(cell[0], cell[1], cell[2]), load<Cell>(tile.row(from[0], from[1], from[2])));
       });
@@ -358,7 +358,7 @@ class RemoteField {
 
  private:
   Real const* at(std::size_t brick, std::size_t w, Index3 const& cell) const {
-    Box const& cells = plan_.bricks()[brick].windows[w].cells;
+    Box const& cells = plan_.bricks()[brick].regions[w].cells;
     return values_.data() + components * (plan_.first(brick, w) + std::size_t(cells.offset(cell)));
   }
 
@@ -454,7 +454,7 @@ void read_tiles(ParticleMesh& mesh, RemoteBricks const& remote, bool matched, El
                   });
   };
   auto const read_remote = [&](std::size_t n, std::int64_t first, std::int64_t last) {
-    BrickWindows const& brick = plan.bricks()[n];
+    BrickRegions const& brick = plan.bricks()[n];
     std::vector<Tile<lanes>>& tiles = reader.tiles();
     tiles[0].reset(brick.cells);
     remote_field.fill(n, 0, tiles[0]);

@@ -10,17 +10,17 @@ namespace amrpic {
 
 namespace {
 
-Window window_of(Hierarchy const& hierarchy, int l, Box const& cells) {
+Region region_of(Hierarchy const& hierarchy, int l, Box const& cells) {
   Level const& level = hierarchy.level(l);
   return {l, cells, overlaps(level, cells), level.cells_in(cells) == level.cut_at_walls(cells).cells()};
 }
 
-/// Call f(window, part, owner) for the parts of the windows of a brick, in the order of messages.
+/// Call f(region, part, owner) for the parts of the regions of a brick, in the order of messages.
 template <class F>
-void for_each_part(Hierarchy const& hierarchy, BrickWindows const& brick, F&& f) {
-  for (std::size_t w = 0; w < brick.windows.size(); ++w) {
-    Window const& window = brick.windows[w];
-    for (Overlap const& o : window.parts) f(w, o, hierarchy.level(window.level).owner(o.box));
+void for_each_part(Hierarchy const& hierarchy, BrickRegions const& brick, F&& f) {
+  for (std::size_t w = 0; w < brick.regions.size(); ++w) {
+    Region const& region = brick.regions[w];
+    for (Overlap const& o : region.parts) f(w, o, hierarchy.level(region.level).owner(o.box));
   }
 }
 
@@ -82,14 +82,14 @@ Real const* add_to(Box const& box, Real* values, Box const& part, Real const* in
   return in;
 }
 
-/// pack(rank, out) for `exchanged`: the values in parts of windows, if there are any.
+/// pack(rank, out) for `exchanged`: the values in parts of regions, if there are any.
 template <class Part>
 auto packed(std::map<int, std::vector<Part>> const& of_ranks, std::vector<Real> const* values) {
   return [&of_ranks, values](int rank, std::vector<Real>& out) {
     if (!values) return;
     for (Part const& part : of_ranks.at(rank)) {
       out.resize(out.size() + std::size_t(part.cells.cells()));
-      copy_from(part.window, values->data() + part.first, part.cells, out.data() + out.size() - part.cells.cells());
+      copy_from(part.region, values->data() + part.first, part.cells, out.data() + out.size() - part.cells.cells());
     }
   };
 }
@@ -108,17 +108,17 @@ std::vector<Parcel> parcels(std::map<int, std::vector<Part>> const& of_ranks, st
 
 }  // namespace
 
-BrickWindows windows_of(Hierarchy const& hierarchy, Home const& brick, bool matched, int reach) {
-  BrickWindows out;
+BrickRegions regions_of(Hierarchy const& hierarchy, Home const& brick, bool matched, int reach) {
+  BrickRegions out;
   out.home = brick;
   out.cells = cells_of(hierarchy, brick);
   if (matched) out.buffer = buffer_of(hierarchy, brick.level, out.cells);
-  out.windows.push_back(window_of(hierarchy, brick.level, out.cells.grow(reach)));
-  std::size_t const coarser = std::max(out.buffer.coarse.size(), std::size_t(out.windows[0].whole ? 0 : 1));
+  out.regions.push_back(region_of(hierarchy, brick.level, out.cells.grow(reach)));
+  std::size_t const coarser = std::max(out.buffer.coarse.size(), std::size_t(out.regions[0].whole ? 0 : 1));
   Box cells = out.cells;
   for (std::size_t r = 1; r <= coarser; ++r) {
     cells = cells.coarsen(refinement_ratio);
-    out.windows.push_back(window_of(hierarchy, brick.level - int(r), cells.grow(reach)));
+    out.regions.push_back(region_of(hierarchy, brick.level - int(r), cells.grow(reach)));
   }
   return out;
 }
@@ -134,14 +134,14 @@ std::vector<int> first_servers(Hierarchy const& hierarchy, Servers const& server
 RemotePlan::RemotePlan(Hierarchy const& hierarchy, std::vector<Home> const& bricks, std::vector<int> const& servers,
                        bool matched, int reach)
     : hierarchy_(&hierarchy), matched_(matched), reach_(reach) {
-  for (std::size_t b = 0; b < bricks.size(); ++b) append(windows_of(hierarchy, bricks[b], matched, reach), servers[b]);
+  for (std::size_t b = 0; b < bricks.size(); ++b) append(regions_of(hierarchy, bricks[b], matched, reach), servers[b]);
 }
 
-void RemotePlan::append(BrickWindows brick, int server) {
+void RemotePlan::append(BrickRegions brick, int server) {
   auto& first = first_.emplace_back();
-  for (Window const& window : brick.windows) {
+  for (Region const& region : brick.regions) {
     first.push_back(cells_);
-    cells_ += std::size_t(window.cells.cells());
+    cells_ += std::size_t(region.cells.cells());
   }
   bricks_.push_back(std::move(brick));
   servers_.push_back(server);
@@ -158,7 +158,7 @@ void RemotePlan::meet_servers(std::vector<Real>* values) {
   Communicator const& comm = hierarchy_->comm();
   std::map<Home, std::size_t> place;
   std::map<int, std::vector<Home>> to_servers;
-  std::map<int, std::vector<WindowPart>> brought_by;
+  std::map<int, std::vector<RegionPart>> brought_by;
   for (std::size_t b = 0; b < bricks_.size(); ++b) {
     place[bricks_[b].home] = b;
     if (servers_[b] == comm.rank()) continue;
@@ -176,7 +176,7 @@ void RemotePlan::meet_servers(std::vector<Real>* values) {
   std::sort(more.begin(), more.end());
   for (Home const& brick : more) {
     place[brick] = bricks_.size();
-    append(windows_of(*hierarchy_, brick, matched_, reach_), comm.rank());
+    append(regions_of(*hierarchy_, brick, matched_, reach_), comm.rank());
   }
   std::vector<Parcel> passed_on;
   if (values) values->resize(cells_, 0);
@@ -187,7 +187,7 @@ void RemotePlan::meet_servers(std::vector<Real>* values) {
       for_each_part(*hierarchy_, bricks_[b], [&](std::size_t w, Overlap const& o, int) {
         passed_on.push_back({of.rank, o.part.cells()});
         passed_on_.push_back(part_of(b, w, o));
-        if (values) in = add_to_window(in, passed_on_.back(), *values);
+        if (values) in = add_to_region(in, passed_on_.back(), *values);
       });
     }
   }
@@ -199,14 +199,14 @@ void RemotePlan::meet_owners(std::vector<Real>* values, Field* density) {
   Communicator const& comm = hierarchy_->comm();
   int const me = comm.rank();
   std::map<int, std::vector<Home>> to_owners;
-  std::map<int, std::vector<WindowPart>> wanted_of;
+  std::map<int, std::vector<RegionPart>> wanted_of;
   auto const own_part = [&](int l, Overlap const& o) {
     return OwnPart{l, o.box - hierarchy_->level(l).first_local_box(), o.in_box()};
   };
   for (std::size_t b = 0; b < bricks_.size(); ++b) {
     if (servers_[b] != me) continue;
     for_each_part(*hierarchy_, bricks_[b], [&](std::size_t w, Overlap const& o, int owner) {
-      if (owner == me) return local_.push_back({own_part(bricks_[b].windows[w].level, o), part_of(b, w, o)});
+      if (owner == me) return local_.push_back({own_part(bricks_[b].regions[w].level, o), part_of(b, w, o)});
       wanted_of[owner].push_back(part_of(b, w, o));
       auto& list = to_owners[owner];
       if (list.empty() || !(list.back() == bricks_[b].home)) list.push_back(bricks_[b].home);
@@ -218,11 +218,11 @@ void RemotePlan::meet_owners(std::vector<Real>* values, Field* density) {
   for (OfRank const& of : of_others) {
     Real const* in = of.values.data();
     for (Home const& home : of.bricks) {
-      BrickWindows const brick = windows_of(*hierarchy_, home, matched_, reach_);
+      BrickRegions const brick = regions_of(*hierarchy_, home, matched_, reach_);
       for_each_part(*hierarchy_, brick, [&](std::size_t w, Overlap const& o, int owner) {
         if (owner != me) return;
         asked.push_back({of.rank, o.part.cells()});
-        asked_.push_back(own_part(brick.windows[w].level, o));
+        asked_.push_back(own_part(brick.regions[w].level, o));
         if (values) in = add_to_cells(in, asked_.back(), *density);
       });
     }
@@ -233,8 +233,8 @@ void RemotePlan::meet_owners(std::vector<Real>* values, Field* density) {
 template <class Write>
 std::vector<Real> RemotePlan::read(std::size_t per_cell, Write const& write) const {
   std::vector<Real> out(per_cell * cells_);
-  auto const unpack = [&](WindowPart const& to, Real const* in) {
-    copy_to(to.window, out.data() + per_cell * to.first, to.cells, in, per_cell);
+  auto const unpack = [&](RegionPart const& to, Real const* in) {
+    copy_to(to.region, out.data() + per_cell * to.first, to.cells, in, per_cell);
   };
   exchange_.update([&](std::size_t n, Real* to) { write(asked_[n], to); },
                    [&](std::size_t n, Real const* in) { unpack(wanted_[n], in); }, per_cell);
@@ -242,12 +242,12 @@ std::vector<Real> RemotePlan::read(std::size_t per_cell, Write const& write) con
   for (LocalPart const& part : local_) {
     cells.resize(per_cell * std::size_t(part.own.cells.cells()));
     write(part.own, cells.data());
-    unpack(part.window, cells.data());
+    unpack(part.region, cells.data());
   }
   between_servers_.update(
       [&](std::size_t n, Real* to) {
-        WindowPart const& from = passed_on_[n];
-        copy_from(from.window, out.data() + per_cell * from.first, from.cells, to, per_cell);
+        RegionPart const& from = passed_on_[n];
+        copy_from(from.region, out.data() + per_cell * from.first, from.cells, to, per_cell);
       },
       [&](std::size_t n, Real const* in) { unpack(brought_[n], in); }, per_cell);
   return out;
@@ -267,12 +267,12 @@ std::vector<Real> RemotePlan::read(Field const& density) const {
   });
 }
 
-Real* RemotePlan::pack(std::vector<Real> const& values, WindowPart const& from, Real* out) {
-  return copy_from(from.window, values.data() + from.first, from.cells, out);
+Real* RemotePlan::pack(std::vector<Real> const& values, RegionPart const& from, Real* out) {
+  return copy_from(from.region, values.data() + from.first, from.cells, out);
 }
 
-Real const* RemotePlan::add_to_window(Real const* in, WindowPart const& to, std::vector<Real>& values) {
-  return add_to(to.window, values.data() + to.first, to.cells, in);
+Real const* RemotePlan::add_to_region(Real const* in, RegionPart const& to, std::vector<Real>& values) {
+  return add_to(to.region, values.data() + to.first, to.cells, in);
 }
 
 /// Add to cells of this rank.
@@ -286,7 +286,7 @@ void RemotePlan::add_local(std::vector<Real> const& values, Field& density) cons
   std::vector<Real> cells;
   for (LocalPart const& part : local_) {
     cells.resize(std::size_t(part.own.cells.cells()));
-    pack(values, part.window, cells.data());
+    pack(values, part.region, cells.data());
     add_to_cells(cells.data(), part.own, density);
   }
 }
@@ -295,7 +295,7 @@ void RemotePlan::add(std::vector<Real> values, Field& density) {
   if (!is_announced_) return announce_with(&values, &density);
   values.resize(cells_, 0);
   between_servers_.fold([&](std::size_t n, Real* out) { pack(values, brought_[n], out); },
-                        [&](std::size_t n, Real const* in) { add_to_window(in, passed_on_[n], values); });
+                        [&](std::size_t n, Real const* in) { add_to_region(in, passed_on_[n], values); });
   add_local(values, density);
   exchange_.fold([&](std::size_t n, Real* out) { pack(values, wanted_[n], out); },
                  [&](std::size_t n, Real const* in) { add_to_cells(in, asked_[n], density); });

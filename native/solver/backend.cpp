@@ -6,7 +6,7 @@
 #include <numeric>
 #include <utility>
 
-#include "matrixfree/capacity.hpp"
+#include "cycle/capacity.hpp"
 #include "mesh/fits_behind.hpp"
 
 namespace amrpic {
@@ -15,7 +15,7 @@ namespace {
 
 /// The problem, if its cells find place. Collective.
 Problem const& checked(Problem const& problem) {
-  matrixfree::check_places(*problem.hierarchy, 2 * std::max(problem.options.pre_sweeps, problem.options.post_sweeps));
+  cycle::check_places(*problem.hierarchy, 2 * std::max(problem.options.pre_sweeps, problem.options.post_sweeps));
   return problem;
 }
 
@@ -75,14 +75,14 @@ Backend::Backend(Problem const& problem)
              problem.options.order, composite_.mesh().plan().gap_fits, problem.options.most_direct_readers,
              problem.metal.get()),
       scale_(std::size_t(levels())),
-      residual_(blocks(&matrixfree::SweptLevel::right_hand_side)),
-      correction_(blocks(&matrixfree::SweptLevel::correction)),
+      residual_(blocks(&cycle::SweptLevel::right_hand_side)),
+      correction_(blocks(&cycle::SweptLevel::correction)),
       steps_(step_lengths(problem.options)) {
   if (problem.options.order == 4) damping_.emplace(composite_.mesh(), residual_, cycle_);
 }
 
 /// Where the boxes' cells lie in a vector of the cycle.
-Blocks<float> Backend::blocks(matrixfree::Vector& (matrixfree::SweptLevel::*vector)()) {
+Blocks<float> Backend::blocks(cycle::Vector& (cycle::SweptLevel::*vector)()) {
   Blocks<float> out;
   for (int l = 0; l < levels(); ++l) {
     auto& swept = cycle_.level(std::size_t(l));

@@ -6,10 +6,10 @@
 #include <vector>
 
 #include "base/error.hpp"
-#include "matrixfree/composite.hpp"
-#include "matrixfree/cycle.hpp"
-#include "matrixfree/damping.hpp"
+#include "composite/composite.hpp"
+#include "cycle/cycle.hpp"
 #include "solver/compressed_rows.hpp"
+#include "solver/damping.hpp"
 #include "solver/minimal_residual.hpp"
 #include "solver/options.hpp"
 #include "solver/stopwatch.hpp"
@@ -109,7 +109,7 @@ class Backend {
 
   Problem problem_;
   CompositeLaplacian composite_;
-  matrixfree::Cycle cycle_;
+  cycle::Cycle cycle_;
   std::optional<Source> source_;
   std::vector<Real> scale_;              ///< [level]: from a residual to the cycle's
   Blocks<float> residual_, correction_;  ///< of the cycle
@@ -119,19 +119,19 @@ class Backend {
   void relax_behind_gaps();
   void combine_corrections(MinimalResidual::Vectors const& before);
   Real dot(MinimalResidual::Vectors const& a, MinimalResidual::Vectors const& b);
-  Blocks<float> blocks(matrixfree::Vector& (matrixfree::SweptLevel::*vector)());
+  Blocks<float> blocks(cycle::Vector& (cycle::SweptLevel::*vector)());
   Real largest(Blocks<float> const& blocks, std::vector<Real> const& scale);
   int levels() const { return problem_.hierarchy->level_count(); }
 
   static constexpr std::size_t even_steps = 5;
 
   Stopwatch stopwatch_;
-  std::vector<matrixfree::Vector> kept_;  ///< residuals, while the error of the mesh is estimated
-  Real largest_source_ = 0;               ///< magnitude of f, V/m^2
-  Real unit_ = 1;                         ///< what 1 stands for in the corrections of the cycle, V
+  std::vector<cycle::Vector> kept_;  ///< residuals, while the error of the mesh is estimated
+  Real largest_source_ = 0;          ///< magnitude of f, V/m^2
+  Real unit_ = 1;                    ///< what 1 stands for in the corrections of the cycle, V
   bool accelerated_ = false;
   /// Of each level; empty until first used, and where no rank has any.
-  std::vector<std::vector<matrixfree::SweptLevel::PlaceAndDiagonal>> behind_gaps_;
+  std::vector<std::vector<cycle::SweptLevel::PlaceAndDiagonal>> behind_gaps_;
   bool knows_gaps_ = false;
   std::optional<Damping> damping_;  ///< in fourth order
   std::vector<Real> steps_;         ///< factors of corrections, in turn

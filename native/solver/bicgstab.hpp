@@ -3,7 +3,7 @@
 #include <functional>
 #include <vector>
 
-#include "operators/level_cells.hpp"
+#include "matrices/level_cells.hpp"
 
 namespace amrpic {
 

@@ -4,7 +4,7 @@
 #include <vector>
 
 #include "base/communicator.hpp"
-#include "operators/operators.hpp"
+#include "matrices/operators.hpp"
 #include "solver/options.hpp"
 
 namespace amrpic {

@@ -1,6 +1,6 @@
 #include "solver/compressed_rows.hpp"
 
-#include "operators/operators.hpp"
+#include "matrices/operators.hpp"
 #include "solver/backend.hpp"
 
 namespace amrpic {

@@ -2,8 +2,8 @@
 #include <optional>
 #include <utility>
 
+#include "matrices/operators.hpp"
 #include "mesh/norm.hpp"
-#include "operators/operators.hpp"
 #include "solver/backend.hpp"
 #include "solver/bicgstab.hpp"
 #include "solver/compressed_rows.hpp"

@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "base/communicator.hpp"
-#include "matrixfree/vector.hpp"
+#include "cycle/vector.hpp"
 
 namespace amrpic {
 
@@ -19,7 +19,7 @@ namespace amrpic {
 /// their images, and each more would make matters worse.
 class MinimalResidual {
  public:
-  using Vectors = std::vector<matrixfree::Vector>;  ///< [level]
+  using Vectors = std::vector<cycle::Vector>;  ///< [level]
   /// The product over own uncovered cells of this rank.
   using Dot = std::function<Real(Vectors const&, Vectors const&)>;
 

@@ -5,8 +5,8 @@
 #include <vector>
 
 #include "base/communicator.hpp"
-#include "operators/multigrid_cycle.hpp"
-#include "operators/semicoarse_operators.hpp"
+#include "matrices/semicoarse_operators.hpp"
+#include "multigrid/multigrid_cycle.hpp"
 #include "solver/bottom.hpp"
 #include "solver/options.hpp"
 #include "solver/smoother.hpp"

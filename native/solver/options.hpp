@@ -2,8 +2,8 @@
 
 #include <string>
 
+#include "cycle/relays.hpp"
 #include "freespace/image.hpp"
-#include "matrixfree/relays.hpp"
 #include "mesh/domain.hpp"
 #include "mesh/norm.hpp"
 #include "stencil/intergrid.hpp"
@@ -64,7 +64,7 @@ struct SolverOptions {
   BottomKind bottom = BottomKind::gmres;    ///< works for all matrices, those of the base included
   BottomPreconditioner bottom_preconditioner = BottomPreconditioner::smoothed_aggregation;
   KrylovKind krylov = KrylovKind::none;
-  int most_direct_readers = matrixfree::most_direct_readers;  ///< beyond them corrections pass through others
+  int most_direct_readers = cycle::most_direct_readers;  ///< beyond them corrections pass through others
   bool neutralize =
       false;  ///< take the mean of the charge away where the boundary leaves the potential's constant free
 };

@@ -4,7 +4,7 @@
 #include <algorithm>
 #include <array>
 
-#include "operators/semicoarse.hpp"
+#include "multigrid/semicoarse.hpp"
 
 namespace amrpic {
 

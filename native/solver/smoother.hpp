@@ -2,7 +2,7 @@
 
 #include <memory>
 
-#include "operators/operators.hpp"
+#include "matrices/operators.hpp"
 #include "solver/options.hpp"
 
 namespace amrpic {

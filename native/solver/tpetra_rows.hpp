@@ -1,6 +1,6 @@
 #pragma once
 
-#include "operators/tpetra.hpp"
+#include "matrices/tpetra.hpp"
 #include "solver/point_equations.hpp"
 
 namespace amrpic {

@@ -6,7 +6,7 @@
 #include <memory>
 #include <string>
 
-#include "operators/tpetra.hpp"
+#include "matrices/tpetra.hpp"
 
 namespace amrpic {
 

@@ -6,7 +6,7 @@
 #include "freespace/charge_blocks.hpp"
 #include "freespace/plates.hpp"
 #include "mesh/hierarchy.hpp"
-#include "operators/walls.hpp"
+#include "mesh/walls.hpp"
 
 namespace amrpic {
 

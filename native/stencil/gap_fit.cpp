@@ -71,14 +71,14 @@ GapFit linear_fit(GapSites const& sites, int axis) {
     constexpr int middle = 13;
     int const step = d == 0 ? 1 : d == 1 ? 3 : 9;
     bool const below = sites.coarse >> (middle - step) & 1, above = sites.coarse >> (middle + step) & 1;
-    Real const share = below && above ? 0.5 : 1;  // of a one-sided difference
+    Real const weight = below && above ? 0.5 : 1;  // of a one-sided difference
     for (int side : {-1, 1}) {
       if (!(side < 0 ? below : above)) continue;
       GapFit::Term term{false, {0, 0, 0}, {}};
       term.offset[std::size_t(d)] = std::int8_t(side);
       for (std::size_t b = 0; b < 2; ++b)
         for (std::size_t a = 0; a < 2; ++a) {
-          term.weight[b][a] = share * side * quarter((d == u ? a : b) != 0);
+          term.weight[b][a] = weight * side * quarter((d == u ? a : b) != 0);
           out.terms.front().weight[b][a] -= term.weight[b][a];
         }
       out.terms.push_back(term);

@@ -106,7 +106,7 @@ def test_virtual_ranks_send_what_real_ones_do(comm: MPI.Comm, boundary):
     remote = comm.allgather(mine.sorted_on(real).remote.bricks)
     rows, brick = np.unique(np.concatenate(remote), axis=0, return_inverse=True)
     pairs = np.column_stack([brick.ravel(), np.repeat(np.arange(comm.size), [len(of_rank) for of_rank in remote])])
-    places, parts = _native.brick_windows(real.native, rows.astype(np.int32), False)
+    places, parts = _native.brick_regions(real.native, rows.astype(np.int32), False)
     between = exchange(real, rows, pairs, parts, np.searchsorted(servers[1:-1], places, side="right"))
     mine, _ = migrate(mine, real, servers)  # so that its bricks are announced anew
     before = traffic()
@@ -132,7 +132,7 @@ def test_mesh_and_particles_of_bricks_are_those_of_a_run():
     planned = bricks_of(clouds_of(made), mesh)
     assert planned.total == pytest.approx(300_000, abs=len(planned.rows))
     places, counted = _native.count_per_brick(mesh.native, beam.particles.position)
-    expected = _native.brick_windows(mesh.native, planned.rows, False)[0]
+    expected = _native.brick_regions(mesh.native, planned.rows, False)[0]
     found = np.bincount(np.searchsorted(places, expected).clip(max=len(places) - 1), planned.particles, len(places))
     assert np.abs(found - counted).max() < 6 * np.sqrt(counted.max())
 

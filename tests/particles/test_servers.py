@@ -154,7 +154,7 @@ def test_messages_of_a_deposit_are_those_that_follow_from_boxes_and_servers(comm
         sent.append(traffic() - before)
     remote = comm.allgather(here.sorted_on(hierarchy).remote.bricks)
     bricks = np.unique(np.concatenate(remote), axis=0).astype(np.int32)
-    places, parts = _native.brick_windows(hierarchy.native, bricks, matched)
+    places, parts = _native.brick_regions(hierarchy.native, bricks, matched)
     first = np.searchsorted(here.sorted_on(hierarchy).servers[1:-1], places, side="right")
     mine = [bool((brick == remote[comm.rank]).all(axis=1).any()) for brick in bricks]
     owner = np.array([hierarchy.owners(level)[box] for _, level, box, _ in parts], dtype=int)

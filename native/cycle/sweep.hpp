@@ -1,0 +1,61 @@
+#pragma once
+
+#include <functional>
+
+#include "cycle/ghosts.hpp"
+#include "cycle/row_acts.hpp"
+
+namespace amrpic::cycle {
+
+/// The colours of cells, and both of them: numbers that can be joined by |.
+constexpr int colour_bit(int colour) { return 1 << colour; }
+constexpr int both_colours = 3;
+
+/// What is done to one plane of one block: to all its rows, or where stages follow each other level by level to some.
+struct PlaneStage {
+  std::function<void(std::size_t block, int plane, RowChoice const& rows)> act;
+  int reads = 0;    ///< colours of neighbours whose corrections are read
+  int changes = 0;  ///< colours of corrections that are changed
+};
+
+/// Run stages over all planes of a layout in one pass: stage s of a plane comes after stage s - 1 of the plane above
+/// it, so that a plane stays in the cache from the first stage to the last. Plane after plane, `before` is called
+/// before a stage reaches it.
+void wavefront(Layout const& layout, std::vector<PlaneStage> const& stages, std::function<void(int)> const& before);
+
+/// The acts on rows for one plane of a block (k in the level's indices).
+class Sweep {
+ public:
+  Sweep(Layout const& layout, Stencil const& stencil);
+
+  /// One colour (0 or 1: the parity of i + j + k) relaxed; from zero, the other becomes zero.
+  void relax(std::size_t block, int k, int colour, bool from_zero, RowChoice const& rows, Vector const& r,
+             Vector& e) const;
+
+  /// Set the parents of which the plane holds the last children: to `weight` times the sums of residuals, or of
+  /// right-hand sides.
+  template <bool of_residual>
+  void restrict_to(std::size_t block, int k, Vector const& r, Vector& e, Parents const& parents, float weight,
+                   Vector& coarse) const;
+
+  /// Set e to the coarse correction, or add this.
+  void prolong(std::size_t block, int k, RowChoice const& rows, Parents const& parents, Vector const& coarse, bool set,
+               Vector const& r, Vector& e) const;
+
+ private:
+  template <class F>
+  void for_each_row(std::size_t block, int k, RowChoice const& rows, F&& f) const;
+  [[gnu::noinline]] float const* composed(std::size_t side, std::int32_t number, float const* e,
+                                          bool differences) const;
+  /// Composes rows beside a row, or their differences to that.
+  auto composer(float const* e, bool differences) const {
+    return [=](std::size_t side, std::int32_t number) { return composed(side, number, e, differences); };
+  }
+
+  Layout const& layout_;
+  Stencil const& stencil_;
+  RowTable table_;
+  mutable std::array<Vector, 4> buffer_;  ///< composed rows beside a row
+};
+
+}  // namespace amrpic::cycle

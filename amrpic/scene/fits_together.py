@@ -176,12 +176,8 @@ def _screening(scene: SceneParts) -> None:
 def _electrodes(scene: SceneParts) -> None:
     if not scene.electrodes:
         return
-    for path, found, known in (
-        ("solver.backend", scene.solver.backend, "matrix-free"),
-        ("solver.order", scene.solver.order, 2),
-    ):
-        if found != known:
-            raise complaint("does not know electrodes", f"set it to {known!r}", path=path, found=found)
+    if scene.solver.order != 2:
+        raise complaint("does not know electrodes", "set it to 2", path="solver.order", found=scene.solver.order)
     if scene.domain.value.singular and scene.fixes_no_potential:
         raise complaint(
             "float all between periodic and neumann faces, so that nothing fixes the potential",

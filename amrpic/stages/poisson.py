@@ -477,8 +477,6 @@ def _electrodes_refusal(
     names = [electrode.name for electrode in electrodes]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         return f"two electrodes are named {twice[0]}; give each a name of its own"
-    if options.backend != "matrix-free":
-        return f'backend is "{options.backend}" with electrodes, which the backend "matrix-free" alone knows; take that one'
     if options.order != 2:
         return f"order is {options.order} with electrodes, beside whose surfaces the equations are of order 2; set order to 2"
     if mirror is not None:

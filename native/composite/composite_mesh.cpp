@@ -124,6 +124,13 @@ void CompositeMesh::place_metal(int l) {
   of.planes.push_back({std::int32_t(of.cuts.size()), std::int32_t(of.solids.size())});
 }
 
+bool CompositeMesh::has_metal(int l, int b) const {
+  OfLevel const& of = metal_[std::size_t(l)];
+  if (of.cells.cells.empty()) return false;
+  auto const first = of.planes.begin() + of.first_plane[std::size_t(b)], last = first + box(l, b).extent(2);
+  return first->first_cut < last->first_cut || first->first_solid < last->first_solid;
+}
+
 RefinedSide const* CompositeMesh::finer_beyond(int l, Index3 const& cell, int side) const {
   auto const& refined = metal_[std::size_t(l)].refined;
   if (refined.empty()) return nullptr;

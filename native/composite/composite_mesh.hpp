@@ -78,6 +78,7 @@ class CompositeMesh {
     std::uint8_t inside;
     bool is_inside(std::size_t side) const { return inside >> side & 1; }
   };
+  bool has_metal(int l, int b) const;  ///< in a box, or beside its cells
   /// Call f(cut cell here) for those in plane k of a box, and solid(place, electrode) for cells in metal.
   template <class F, class Solid>
   void for_each_in_metal(int l, int b, int k, F&& f, Solid&& solid) const {

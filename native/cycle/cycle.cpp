@@ -4,6 +4,7 @@
 #include <limits>
 
 #include "base/no_denormals.hpp"
+#include "multigrid/metal_on_levels.hpp"
 #include "multigrid/semicoarse.hpp"
 
 namespace amrpic::cycle {
@@ -107,25 +108,9 @@ Cycle::Cycle(Communicator const& comm, MultigridLevels multigrid, int max_grid_s
   auto has_gaps = levels_with_gaps(comm, levels());
   has_gaps.resize(levels().count());
   auto const is_refined = [&](std::size_t l) { return l > levels().base && l <= levels().finest(); };
-  /// The levels whose cells are a potential's, and finer than one.
-  auto const finer_than = [&](std::size_t l) {
-    std::size_t first = l;
-    while (levels().semicoarse(first)) first = levels().finer(first);
-    std::vector<Level const*> out;
-    for (std::size_t n = std::max(first == l ? l + 1 : first, levels().base); n <= levels().finest(); ++n)
-      out.push_back(levels().level(n).get());
-    return out;
-  };
   auto const metal_in = [&](std::size_t l) -> SweptLevel::MetalIn {
     if (!metal) return nullptr;
-    Level const& level = *levels().level(l);
-    auto const finer = finer_than(l);
-    if (levels().semicoarse(l) || l < levels().base)
-      return [metal, &level, finer](std::vector<Box> const& boxes) { return metal->cells(level, boxes, finer); };
-    Level const* const coarser = is_refined(l) ? levels().level(l - 1).get() : nullptr;
-    return [metal, &level, coarser, finer](std::vector<Box> const& boxes) {
-      return metal_of_level(*metal, level, coarser, finer, boxes, true).cells;
-    };
+    return [this, metal, l](std::vector<Box> const& boxes) { return metal_on(*metal, levels(), l, boxes); };
   };
   auto const swept = [&](std::size_t l) {
     GhostRules const rules = ghost_rules_of(levels(), open_walls, l);
@@ -168,7 +153,7 @@ Cycle::Cycle(Communicator const& comm, MultigridLevels multigrid, int max_grid_s
   GhostRules const rules = ghost_rules_of(levels(), open_walls, 0);
   Index3 const cells{box.extent(0), box.extent(1), box.extent(2)};
   WallGhosts const walls = walls_of_coarsest(levels(), rules);
-  auto const in_metal = metal ? metal->cells(coarsest, {box}, finer_than(0)) : MetalCells{};
+  auto const in_metal = metal ? metal->cells(coarsest, {box}, levels_of_potential(levels(), 1)) : MetalCells{};
   if (!in_metal.empty())
     direct_ = std::make_unique<DenseRows>(cells, equation, walls, coarsest.periodic(), rules.seam_width, in_metal);
   else

@@ -37,4 +37,31 @@ struct InterfaceSteps {
   }
 };
 
+/// A coarse face beside metal: its four fine cells, what these take of phi*, and what they send through it of their own
+/// values and of the next ones, see MetalFace.
+struct MetalSteps {
+  std::int32_t cell, parent;            ///< the first of the fine cells, and the coarse one
+  std::int32_t cell_u, cell_v, inward;  ///< from a fine cell to the next ones
+  FourStars<float> star{}, first{}, second{};
+
+  KOKKOS_INLINE_FUNCTION void subtract_ghosts(FourStars<float> const& stars, float* r) const {
+    for_each([&](std::int32_t at, std::size_t a, std::size_t b) { r[at] -= star[b][a] * stars[b][a]; });
+  }
+  /// What the fine corrections send, with nothing in the coarse cell.
+  KOKKOS_INLINE_FUNCTION float flux(float const* e) const {
+    float sum = 0;
+    for_each([&](std::int32_t at, std::size_t a, std::size_t b) {
+      sum += first[b][a] * e[at] + second[b][a] * e[at + inward];
+    });
+    return sum;
+  }
+
+ private:
+  template <class F>
+  KOKKOS_INLINE_FUNCTION void for_each(F const& f) const {
+    for (int b = 0; b < 2; ++b)
+      for (int a = 0; a < 2; ++a) f(cell + a * cell_u + b * cell_v, std::size_t(a), std::size_t(b));
+  }
+};
+
 }  // namespace amrpic::cycle

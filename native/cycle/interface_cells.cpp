@@ -81,15 +81,11 @@ void InterfaceCells::add_metal(InterfaceSide const& face, Box const& parents, st
     fits(cell) = no_fit;
     if (beside->links == 0) return;
     int const x = cell[u] - parents.lower[u], y = cell[v] - parents.lower[v];
-    MetalSide out{first_cell(face, x, y),
-                  std::size_t(face.parent + x * face.parent_u + y * face.parent_v),
-                  face.cell_u,
-                  face.cell_v,
-                  face.inward,
-                  {},
-                  {},
-                  {},
-                  {}};
+    MetalSide out{
+        {std::int32_t(first_cell(face, x, y)), std::int32_t(face.parent + x * face.parent_u + y * face.parent_v),
+         face.cell_u, face.cell_v, face.inward},
+        2 * face.axis + face.side,
+        {}};
     CutCell const* const cut = coarse_rows.cut_at(levels.wrapped(cell));
     std::size_t const toward = beside->at.inward();
     Real coarse = coarse_equation.weight[face.axis];
@@ -110,8 +106,7 @@ void InterfaceCells::add_metal(InterfaceSide const& face, Box const& parents, st
         out.second[b][a] = float(-coarse * beside->second(a, b));
       }
     for (auto const& term : beside->cells)
-      out.terms.push_back(
-          {term.i * std::ptrdiff_t(face.parent_u) + term.j * std::ptrdiff_t(face.parent_v), term.weight});
+      out.terms.push_back({out.parent + term.i * face.parent_u + term.j * face.parent_v, term.weight});
     metal_.push_back(std::move(out));
   });
 }
@@ -173,9 +168,8 @@ void InterfaceCells::subtract_in_gaps(Vector const& e, Vector& r) {
 void InterfaceCells::subtract_coarse(Vector const& coarse_values, Vector& r) const {
   for (MetalSide const& side : metal_) {
     FourStars<float> stars{};
-    for (auto const& [step, weight] : side.terms)
-      add_to_stars(stars, weight, coarse_values[std::size_t(std::ptrdiff_t(side.parent) + step)]);
-    side.for_each([&](std::size_t at, std::size_t a, std::size_t b) { r[at] -= side.star[b][a] * stars[b][a]; });
+    for (auto const& [place, weight] : side.terms) add_to_stars(stars, weight, coarse_values[std::size_t(place)]);
+    side.subtract_ghosts(stars, r.data());
   }
   for (InterfaceSide const& face : faces_) {
     float const* coarse = &coarse_values[std::size_t(face.parent)];
@@ -219,11 +213,7 @@ void InterfaceCells::subtract_coarse(Vector const& coarse_values, Vector& r) con
 }
 
 void InterfaceCells::subtract_flux(Vector const& e, Vector& coarse_values) const {
-  for (MetalSide const& side : metal_)
-    side.for_each([&](std::size_t at, std::size_t a, std::size_t b) {
-      std::size_t const next = std::size_t(std::ptrdiff_t(at) + side.inward);
-      coarse_values[side.parent] -= side.first[b][a] * e[at] + side.second[b][a] * e[next];
-    });
+  for (MetalSide const& side : metal_) coarse_values[std::size_t(side.parent)] -= side.flux(e.data());
   for (InterfaceSide const& face : faces_) {
     for (int v = 0; v < face.nv; ++v)
       for_each_run(&fits_[face.fits + std::size_t(v) * std::size_t(face.nu)], face.nu,
@@ -241,9 +231,11 @@ void InterfaceCells::subtract_flux(Vector const& e, Vector& coarse_values) const
 }
 
 std::size_t InterfaceCells::bytes() const {
+  std::size_t terms = 0;
+  for (MetalSide const& side : metal_) terms += side.terms.size() * sizeof side.terms[0];
   return faces_.size() * sizeof(InterfaceSide) + fits_.size() + gap_values_.bytes() +
-         gaps_.size() * (sizeof(GapFit const*) + sizeof taken_[0]) + parts_.size() * sizeof(RegionPart) +
-         (plane_.size() + rows_.size()) * sizeof(float);
+         metal_.size() * sizeof(MetalSide) + terms + gaps_.size() * (sizeof(GapFit const*) + sizeof taken_[0]) +
+         parts_.size() * sizeof(RegionPart) + (plane_.size() + rows_.size()) * sizeof(float);
 }
 
 }  // namespace amrpic::cycle

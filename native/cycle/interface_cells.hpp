@@ -82,18 +82,9 @@ class InterfaceCells {
   static std::size_t first_cell(InterfaceSide const& face, int u, int v) {
     return std::size_t(face.cell + 2 * (u * face.cell_u + v * face.cell_v));
   }
-  /// A coarse face beside metal: its cells, what these take of phi* and of their own values, see MetalFace.
-  struct MetalSide {
-    std::size_t cell, parent;
-    std::int32_t cell_u, cell_v, inward;
-    FourStars<float> star{}, first{}, second{};
-    std::vector<std::pair<std::ptrdiff_t, FourStars<Real>>> terms;  ///< coarse cells, from `parent`
-    template <class F>
-    void for_each(F&& f) const {
-      for (std::size_t b = 0; b < 2; ++b)
-        for (std::size_t a = 0; a < 2; ++a)
-          f(cell + std::size_t(std::ptrdiff_t(a) * cell_u + std::ptrdiff_t(b) * cell_v), a, b);
-    }
+  struct MetalSide : MetalSteps {
+    int direction;                                                ///< 2 axis + side
+    std::vector<std::pair<std::int32_t, FourStars<Real>>> terms;  ///< phi* by the values at places
   };
   void add_metal(InterfaceSide const& face, Box const& parents, std::size_t block, CellBlock const& cells,
                  LevelsInMetal const& levels, Stencil const& stencil, MetalCells const& coarse_rows,

@@ -113,7 +113,8 @@ void Composite::plan_faces(int l, OnLevel& level, std::vector<CompositeBox>& box
   std::vector<WallRun> walls;
   std::vector<FineSide> sides;
   std::vector<CoarseFace> faces;
-  GapTerms::Lists gaps_coarse, gaps_fine;
+  std::vector<FaceBesideMetal> beside_metal;
+  GapTerms::Lists gaps_coarse, gaps_fine, metal_terms;
   std::vector<std::int32_t> own, own_coarse, received;
   if (!plan.gaps.empty()) {
     own = numbers(std::size_t(mesh_.level(l).local_cells()), false);
@@ -155,15 +156,15 @@ void Composite::plan_faces(int l, OnLevel& level, std::vector<CompositeBox>& box
         coarse_values = places_around(plan, gaps.coarse, gaps.coarse_parts, own_coarse, received);
         values = places_around(plan, gaps.coarse.refine(refinement_ratio), gaps.parts, own, received);
       }
-      auto const add_face = [&, u = u, v = v](int m, int row, std::int32_t fit) {
+      auto const face_at = [&, u = u, v = v](int m, int row, std::int32_t fit) {
         int const x = 2 * (i.u + m), y = 2 * (i.v + row);
-        faces.push_back({std::int32_t(sides.size()), first + x * pitch[u] + y * pitch[v], first_ghost + x + y * nu,
-                         middle + m + row * plane_v, i.fluxes + m + row * i.nu, fit});
+        return CoarseFace{std::int32_t(sides.size()), first + x * pitch[u] + y * pitch[v], first_ghost + x + y * nu,
+                          middle + m + row * plane_v, i.fluxes + m + row * i.nu,           fit};
       };
       for (int row = 0; row < i.nv; ++row)
         for (int m = 0; m < i.nu; ++m)
           if (FitNumber const fit = plan.fits[std::size_t(i.fits + m + row * i.nu)]; fit != no_fit && fit != fit_in_gap)
-            add_face(m, row, fit);
+            faces.push_back(face_at(m, row, fit));
       Index3 behind = box.coarsen(refinement_ratio).layer(axis, side, 1).lower;
       plan.for_each_gap(i, [&, v = v, u = u](int m, int row, GapFit const& fit) {
         Index3 cell = behind;
@@ -173,17 +174,64 @@ void Composite::plan_faces(int l, OnLevel& level, std::vector<CompositeBox>& box
               .terms.push_back(
                   {term.fine ? values(first_child_of(cell), term) : coarse_values(cell, term), term.weight});
         gaps_fine.end_gap(), gaps_coarse.end_gap();
-        add_face(m, row, ~gap_count++);
+        faces.push_back(face_at(m, row, ~gap_count++));
       });
+      for (MetalFace const& metal : mesh_.metal_faces(l, face.interface)) {
+        FaceBesideMetal out{face_at(metal.at.coarse[u] - behind[u] - i.u, metal.at.coarse[v] - behind[v] - i.v, 0),
+                            {},
+                            {},
+                            {},
+                            metal.linked,
+                            metal.links > 0 ? metal.of_links() : 0};
+        for (std::size_t b2 = 0; b2 < 2; ++b2)
+          for (std::size_t a2 = 0; a2 < 2; ++a2)
+            out.star[b2][a2] = metal.star(a2, b2), out.first[b2][a2] = metal.first(a2, b2),
+            out.second[b2][a2] = metal.second(a2, b2);
+        for (auto const& term : metal.cells)
+          metal_terms.terms.push_back({out.face.plane + term.i + term.j * plane_v, term.weight});
+        for (auto const& term : metal.surfaces) metal_terms.terms.push_back({~term.electrode, term.weight});
+        metal_terms.end_gap();
+        beside_metal.push_back(out);
+      }
       sides.push_back({pitch[u], pitch[v], inward, nu, plane_v});
     }
   }
   level.neighbours = listed(neighbours), level.coarse = listed(coarse), level.walls = listed(walls);
   level.sides = listed(sides), level.faces = listed(faces);
   level.gaps_coarse = GapTerms(gaps_coarse), level.gaps_fine = GapTerms(gaps_fine);
+  level.beside_metal = listed(beside_metal), level.metal_terms = GapTerms(metal_terms);
+  bytes_ += level.metal_terms.bytes();
   level.ghosts = Array<Real>("ghosts", std::size_t(ghosts)), level.planes = Array<Real>("planes", std::size_t(planes));
   level.fluxes = Array<Real>("fluxes", std::size_t(plan.fluxes));
   bytes_ += (std::size_t(ghosts) + std::size_t(planes) + std::size_t(plan.fluxes)) * sizeof(Real);
+}
+
+CutCellPlace Composite::cut_cell(int l, int b, int k, CompositeMesh::CutHere const& here,
+                                 CompositeBox const& box) const {
+  Box const& own = mesh_.box(l, b);
+  Index3 const pitch = own.strides();
+  CutCellPlace out{box.first + k * pitch[2] + std::int32_t(here.place), 0, here.row, {}, {}, {}};
+  for (std::size_t side = 0; side < 6; ++side) {
+    int const axis = int(side) / 2;
+    auto const [u, v] = tangential_axes(axis);
+    Index3 const& cell = here.cell.cell;
+    std::int32_t const on_face = (cell[u] - own.lower[u]) + own.extent(u) * (cell[v] - own.lower[v]);
+    out.datum[side] = here.cell.is_cut(side)        ? here.cell.electrode[side]
+                      : here.row.surface[side] != 0 ? ~(mesh_.plan(l, b).faces[side].wall + on_face)
+                                                    : 0;
+    if (here.is_inside(side)) {
+      out.in[side] = CutCellPlace::In::cells;
+      out.beyond[side] = out.cell + (side % 2 == 0 ? -pitch[axis] : pitch[axis]);
+    } else if (RefinedSide const* const r = mesh_.finer_beyond(l, cell, int(side))) {
+      out.in[side] = r->fluxes.here ? CutCellPlace::In::fluxes : CutCellPlace::In::received_fluxes;
+      out.beyond[side] = r->fluxes.from + (cell[u] - own.lower[u] - r->cells.lower[u]) * r->fluxes.pu +
+                         (cell[v] - own.lower[v] - r->cells.lower[v]) * r->fluxes.pv;
+    } else {
+      out.in[side] = CutCellPlace::In::ghosts;
+      out.beyond[side] = box.ghosts[side] + on_face;
+    }
+  }
+  return out;
 }
 
 /// Rows, and what is special in some.
@@ -191,19 +239,32 @@ void Composite::plan_rows(int l, OnLevel& level, std::vector<CompositeBox> const
   LevelPlan const& plan = mesh_.plan(l);
   std::vector<CompositeRow> rows;
   std::vector<std::int32_t> first_refined;
-  std::vector<char> covered;
+  std::vector<CellKind> kind;
   std::vector<RefinedFace> refined;
+  std::vector<CutCellPlace> cuts;
   for (std::size_t b = 0; b < boxes.size(); ++b) {
     BoxPlan const& of_box = plan.boxes[b];
     Index3 const& extent = boxes[b].extent;
-    bool const is_plain = of_box.covered.empty() && of_box.refined.empty();
+    bool const is_plain = of_box.covered.empty() && of_box.refined.empty() && !mesh_.has_metal(l, int(b));
     std::size_t const cells = std::size_t(extent[0]) * std::size_t(extent[1]) * std::size_t(extent[2]);
-    std::vector<char> is_covered(is_plain || of_box.is_fully_covered ? 0 : cells, 0);
-    std::vector<std::vector<RefinedFace>> beside(is_covered.size());
+    std::vector<CellKind> kinds(is_plain || of_box.is_fully_covered ? 0 : cells, CellKind::plain);
+    std::vector<std::vector<RefinedFace>> beside(kinds.size());
     auto const number = [&](Index3 const& c) { return std::size_t(c[0] + extent[0] * (c[1] + extent[1] * c[2])); };
-    for (int c = of_box.covered.first; c < of_box.covered.last && !is_covered.empty(); ++c)
-      for_each_cell(plan.covered[std::size_t(c)], [&](Index3 const& cell) { is_covered[number(cell)] = 1; });
-    for (int s = of_box.refined.first; s < of_box.refined.last && !is_covered.empty(); ++s) {
+    std::size_t const first_row = rows.size(), in_plane = std::size_t(extent[0]) * std::size_t(extent[1]);
+    auto const for_each_in_metal = [&](auto const& cut, auto const& solid) {
+      for (int k = 0; k < extent[2] && !kinds.empty(); ++k)
+        mesh_.for_each_in_metal(
+            l, int(b), k,
+            [&](CompositeMesh::CutHere const& here) {
+              cut(k, std::size_t(here.place) + std::size_t(k) * in_plane, here);
+            },
+            [&](std::ptrdiff_t place, int) { solid(std::size_t(place) + std::size_t(k) * in_plane); });
+    };
+    for_each_in_metal([&](int, std::size_t cell, auto const&) { kinds[cell] = CellKind::cut; },
+                      [&](std::size_t cell) { kinds[cell] = CellKind::covered; });
+    for (int c = of_box.covered.first; c < of_box.covered.last && !kinds.empty(); ++c)
+      for_each_cell(plan.covered[std::size_t(c)], [&](Index3 const& cell) { kinds[number(cell)] = CellKind::covered; });
+    for (int s = of_box.refined.first; s < of_box.refined.last && !kinds.empty(); ++s) {
       RefinedSide const& r = plan.refined[std::size_t(s)];
       auto const [u, v] = tangential_axes(r.axis);
       for_each_cell(r.cells, [&, u = u, v = v](Index3 const& cell) {
@@ -219,25 +280,36 @@ void Composite::plan_rows(int l, OnLevel& level, std::vector<CompositeBox> const
           row.special = all_covered;
         } else if (!is_plain) {
           std::size_t const first = number({0, j, k}), last = first + std::size_t(extent[0]);
-          bool const whole = std::find(&is_covered[first], &is_covered[last - 1] + 1, 0) == &is_covered[last - 1] + 1;
+          auto const is_covered = [&](CellKind of) { return of == CellKind::covered; };
+          bool const whole = std::all_of(&kinds[first], &kinds[last - 1] + 1, is_covered);
           bool any = false;
-          for (std::size_t n = first; n < last; ++n) any = any || is_covered[n] || !beside[n].empty();
+          for (std::size_t n = first; n < last; ++n) any = any || kinds[n] != CellKind::plain || !beside[n].empty();
           if (whole)
             row.special = all_covered;
           else if (any)
-            row.special = std::int32_t(covered.size());
+            row.special = std::int32_t(kind.size());
           for (std::size_t n = first; n < last && any && !whole; ++n) {
             first_refined.push_back(std::int32_t(refined.size()));
-            covered.push_back(is_covered[n]);
-            if (!is_covered[n]) refined.insert(refined.end(), beside[n].begin(), beside[n].end());
+            kind.push_back(kinds[n]);
+            if (kinds[n] == CellKind::plain) refined.insert(refined.end(), beside[n].begin(), beside[n].end());
           }
         }
         rows.push_back(row);
       }
+    for_each_in_metal(
+        [&](int k, std::size_t cell, CompositeMesh::CutHere const& here) {
+          if (kinds[cell] == CellKind::covered) return;
+          cuts.push_back(cut_cell(l, int(b), k, here, boxes[b]));
+          std::size_t const row = cell / std::size_t(extent[0]);
+          cuts.back().special = rows[first_row + row].special + std::int32_t(cell - row * std::size_t(extent[0]));
+        },
+        [](std::size_t) {});
   }
   first_refined.push_back(std::int32_t(refined.size()));
-  level.rows = listed(rows), level.first_refined = listed(first_refined), level.covered = listed(covered);
-  level.refined = listed(refined);
+  level.rows = listed(rows), level.first_refined = listed(first_refined), level.kind = listed(kind);
+  level.refined = listed(refined), level.cuts = listed(cuts);
+  level.of_cut = Array<Real>("residuals of cut cells", cuts.empty() ? 0 : kind.size());
+  bytes_ += level.of_cut.extent(0) * sizeof(Real);
 }
 
 /// Means of the level's cells for the coarser one, and what passes to and from the finer one.
@@ -301,6 +373,11 @@ void Composite::start(Source const& source, Field& phi) {
     level.phi = mirrored(phi.level(l)), level.rho = mirrored(source.rho.level(l));
     level.datum = mirrored(source.walls[std::size_t(l)].datum);
   }
+  potentials_ = on_device(source.potentials);
+}
+
+void Composite::walls_changed() {
+  for (OnLevel const& level : levels_) level.datum.to_device();
 }
 
 void Composite::potential_to_host() const {
@@ -430,6 +507,59 @@ void Composite::fill_ghosts(int l) {
         }
         level.fluxes(face.flux) = flux;
       });
+  fill_ghosts_beside_metal(l);
+}
+
+/// The same for the faces that metal makes others.
+void Composite::fill_ghosts_beside_metal(int l) {
+  OnLevel const level = levels_[std::size_t(l)];
+  auto const phi = level.phi.array(), potentials = potentials_;
+  for_each(
+      "ghosts beside metal", level.beside_metal, KOKKOS_LAMBDA(std::int32_t n) {
+        FaceBesideMetal const& metal = level.beside_metal(n);
+        FineSide const& side = level.sides(metal.face.side);
+        FourStars<Real> stars{};
+        level.metal_terms.add(n, stars, [&](std::int32_t at) { return at >= 0 ? level.planes(at) : potentials(~at); });
+        Real sum = 0;
+        for (int b = 0; b < 2; ++b)
+          for (int a = 0; a < 2; ++a) {
+            std::size_t const v = std::size_t(b), u = std::size_t(a);
+            if (!metal.linked[v][u]) continue;
+            Real const* const p = phi.data() + metal.face.cell + a * side.cell_u + b * side.cell_v;
+            Real const ghost =
+                metal.star[v][u] * stars[v][u] + metal.first[v][u] * p[0] + metal.second[v][u] * p[side.inward];
+            level.ghosts(metal.face.ghost + a + b * side.ghost_v) = ghost;
+            sum += p[0] - ghost;
+          }
+        level.fluxes(metal.face.flux) = metal.of_links * sum;
+      });
+}
+
+/// Into `of_cut`. Ghosts and fluxes are there.
+void Composite::residuals_of_cut_cells(int l, Background const& background) {
+  OnLevel const level = levels_[std::size_t(l)];
+  auto const phi = level.phi.array(), potentials = potentials_, received = level.finer_fluxes.received();
+  auto const fluxes = l + 1 < mesh_.levels() ? levels_[std::size_t(l) + 1].fluxes : Array<Real>();
+  for_each(
+      "residuals of cut cells", level.cuts, KOKKOS_LAMBDA(std::int32_t n) {
+        CutCellPlace const& cut = level.cuts(n);
+        Real const here = phi(cut.cell);
+        Real sum = -cut.row.diagonal * here, of_surfaces = 0;
+        for (std::size_t side = 0; side < 6; ++side) {
+          std::int32_t const at = cut.beyond[side], datum = cut.datum[side];
+          if (cut.row.neighbour[side] != 0) {
+            Real const beyond = cut.in[side] == CutCellPlace::In::cells    ? phi(at)
+                                : cut.in[side] == CutCellPlace::In::ghosts ? level.ghosts(at)
+                                : cut.in[side] == CutCellPlace::In::fluxes ? here + fine_face_weight * fluxes(at)
+                                                                           : here + fine_face_weight * received(at);
+            sum += cut.row.neighbour[side] * beyond;
+          }
+          if (cut.row.surface[side] != 0)
+            of_surfaces += cut.row.surface[side] * (datum >= 0 ? potentials(datum) : level.datum.array()(~datum));
+        }
+        level.of_cut(cut.special) =
+            cut.row.scale * background.right_hand_side(level.rho.array()(cut.cell)) - sum - of_surfaces;
+      });
 }
 
 Real Composite::residual(Background const& background, Norm norm, std::vector<Real> const& scale) {
@@ -445,6 +575,7 @@ Real Composite::residual(Background const& background, Norm norm, std::vector<Re
   }
   Magnitude magnitude(norm);
   for (int l = 0; l < mesh_.levels(); ++l) {
+    residuals_of_cut_cells(l, background);
     auto const measured = [&](Norm by, Real factor) {
       return residual_of_level(l, background, by, factor, scale[std::size_t(l)]);
     };
@@ -496,7 +627,8 @@ Real Composite::residual_of_level(int l, Background const& background, Norm norm
         // With the fluxes of the finer level through the faces of refined cells, in place of the differences across.
         return sizes.over(worker, nx, c, xm, xp, [&](int i, Real before, Real after) {
           std::int32_t const cell = row.special + i;
-          if (level.covered(cell)) return put(i, 0);
+          if (level.kind(cell) == CellKind::covered) return put(i, 0);
+          if (level.kind(cell) == CellKind::cut) return put(i, level.of_cut(cell));
           Real value = plain(i, before, after);
           for (std::int32_t f = level.first_refined(cell); f < level.first_refined(cell + 1); ++f) {
             RefinedFace const& face = level.refined(f);
@@ -532,7 +664,7 @@ Real Composite::add(Real scale) {
                        };
                        if (row.special == all_plain) return sizes.over(worker, nx, from, 0.0f, 0.0f, add);
                        return sizes.over(worker, nx, from, 0.0f, 0.0f, [&](int i, float before, float after) {
-                         bool const counts = row.special >= 0 && !level.covered(row.special + i);
+                         bool const counts = row.special >= 0 && level.kind(row.special + i) != CellKind::covered;
                          return counts ? add(i, before, after) : Real(from[i]);
                        });
                      }));

@@ -30,6 +30,25 @@ struct CoarseFace {
   std::int32_t fit;  ///< its number, or ~(that of the gap)
 };
 
+/// A coarse face that metal makes other than those with fits, see MetalFace: what ghosts have of phi*, of the cell
+/// before them and of the next one.
+struct FaceBesideMetal {
+  CoarseFace face;
+  FourStars<Real> star, first, second;
+  FourStars<char> linked;  ///< other ghosts are not read
+  Real of_links;
+};
+
+/// A cut cell: its equation, and where the values beyond its sides and the data of the surfaces there are.
+struct CutCellPlace {
+  enum class In : std::int8_t { cells, ghosts, fluxes, received_fluxes };
+  std::int32_t cell, special;  ///< among those of the level, and of special rows
+  CutRow row;
+  std::array<In, 6> in;
+  std::array<std::int32_t, 6> beyond;
+  std::array<std::int32_t, 6> datum;  ///< an electrode, or ~(place) among those of walls
+};
+
 /// Where a box lies in a field, among the ghosts, and in a vector of the cycle.
 struct CompositeBox {
   std::int32_t first;
@@ -37,7 +56,8 @@ struct CompositeBox {
   std::array<std::int32_t, 6> ghosts;
   std::int32_t origin, pitch_y, pitch_z;
 };
-constexpr std::int32_t all_plain = -1, all_covered = -2;
+constexpr std::int32_t all_plain = -1, all_covered = -2;  ///< solid cells count as covered
+enum class CellKind : char { plain, covered, cut };
 struct CompositeRow {
   std::int32_t box, j, k;
   std::int32_t special;  ///< `all_plain`, `all_covered`, or where its cells begin among those of special rows
@@ -86,21 +106,30 @@ class Composite {
 
   std::size_t bytes() const { return bytes_; }
 
+  /// Take the data of walls anew from the host.
+  void walls_changed();
+
   // Parts of `residual`, and what kernels read, public because CUDA wants it to be.
   void fill_ghosts(int l);
+  void fill_ghosts_beside_metal(int l);
+  void residuals_of_cut_cells(int l, Background const& background);
   Real residual_of_level(int l, Background const& background, Norm norm, Real factor, Real scale);
   /// The lists of a level.
   struct OnLevel {
     Array<CompositeBox> boxes;
     Array<CompositeRow> rows;
     Array<std::int32_t> first_refined;  ///< of the cells of special rows, and the end
-    Array<char> covered;                ///< of these cells
+    Array<CellKind> kind;               ///< of these cells
+    Array<Real> of_cut;                 ///< residuals of cut ones among them; none where no cell is
     Array<RefinedFace> refined;
     Array<CopiedRun> neighbours, coarse;
     Array<WallRun> walls;
     Array<FineSide> sides;
     Array<CoarseFace> faces;
+    Array<FaceBesideMetal> beside_metal;
+    Array<CutCellPlace> cuts;
     GapTerms gaps_coarse, gaps_fine;
+    GapTerms metal_terms;  ///< at places among `planes`, or ~(electrode)
     Array<CopiedRun> sent_cells, sent_fluxes, received_means;
     Array<ParentRun> families, sent_means;  ///< of the coarser level
     Array<Real> ghosts, planes, fluxes;
@@ -111,6 +140,7 @@ class Composite {
  private:
   void plan_faces(int l, OnLevel& level, std::vector<CompositeBox>& boxes);
   void plan_rows(int l, OnLevel& level, std::vector<CompositeBox> const& boxes);
+  CutCellPlace cut_cell(int l, int b, int k, CompositeMesh::CutHere const& here, CompositeBox const& box) const;
   void plan_exchanges(int l, OnLevel& level);
   template <class T>
   Array<T> listed(std::vector<T> const& values) {
@@ -122,6 +152,7 @@ class Composite {
   std::vector<SweptLevel*> swept_;
   std::vector<OnLevel> levels_;
   RemoteBuffers cells_;
+  Array<Real> potentials_;  ///< of electrodes
   NumberedFits fits_;
   std::size_t bytes_ = 0;
 };

@@ -15,6 +15,8 @@ InterfaceCells::InterfaceCells(cycle::InterfaceCells const& plan, cycle::Layout 
     places.resize(layout.size());
     std::iota(places.begin(), places.end(), 0);
   }
+  std::vector<cycle::MetalSteps> beside_metal;
+  GapTerms::Lists metal_terms;
   std::size_t gaps = 0;
   for (int direction = 0; direction < 6; ++direction) {
     of_direction_[std::size_t(direction)].first = std::int32_t(faces.size());
@@ -53,9 +55,18 @@ InterfaceCells::InterfaceCells(cycle::InterfaceCells const& plan, cycle::Layout 
       sides.push_back(side);
     }
     of_direction_[std::size_t(direction)].last = std::int32_t(faces.size());
+    beside_metal_[std::size_t(direction)].first = std::int32_t(beside_metal.size());
+    for (auto const& side : plan.metal_) {
+      if (side.direction != direction) continue;
+      beside_metal.push_back(side);
+      for (auto const& [place, weight] : side.terms) metal_terms.terms.push_back({place, weight});
+      metal_terms.end_gap();
+    }
+    beside_metal_[std::size_t(direction)].last = std::int32_t(beside_metal.size());
   }
-  lists_ = {on_device(sides),       on_device(faces),     NumberedFits::made(),
-            GapTerms(coarse_terms), GapTerms(fine_terms), Array<FourStars<float>>("taken", gaps)};
+  lists_ = {on_device(sides),        on_device(faces),     NumberedFits::made(),
+            GapTerms(coarse_terms),  GapTerms(fine_terms), Array<FourStars<float>>("taken", gaps),
+            on_device(beside_metal), GapTerms(metal_terms)};
 }
 
 void InterfaceCells::subtract_coarse(Array<float> const& coarse_values, Array<float> const& r) const {
@@ -70,6 +81,12 @@ void InterfaceCells::subtract_coarse(Array<float> const& coarse_values, Array<fl
         else
           on.coarse_terms.add(~face.fit, stars, [&](std::int32_t place) { return coarse_values(place); });
         side.subtract_ghosts(stars, &r(face.cell));
+      });
+  for_each_beside_metal(
+      "take ghosts beside metal", KOKKOS_LAMBDA(std::int32_t n) {
+        FourStars<float> stars{};
+        on.metal_terms.add(n, stars, [&](std::int32_t place) { return coarse_values(place); });
+        on.beside_metal(n).subtract_ghosts(stars, r.data());
       });
 }
 
@@ -94,11 +111,15 @@ void InterfaceCells::subtract_flux(Array<float> const& e, Array<float> const& co
         coarse_values(face.parent) -= side.flux(&e(face.cell));
         if (face.fit < 0) coarse_values(face.parent) += side.flux_of_ghosts(on.taken(~face.fit));
       });
+  for_each_beside_metal(
+      "take fluxes beside metal",
+      KOKKOS_LAMBDA(std::int32_t n) { coarse_values(on.beside_metal(n).parent) -= on.beside_metal(n).flux(e.data()); });
 }
 
 std::size_t InterfaceCells::bytes() const {
   return lists_.faces.extent(0) * sizeof(Face) + lists_.sides.extent(0) * sizeof(cycle::InterfaceSteps) +
-         lists_.coarse_terms.bytes() + lists_.fine_terms.bytes() + lists_.taken.extent(0) * sizeof(FourStars<float>);
+         lists_.coarse_terms.bytes() + lists_.fine_terms.bytes() + lists_.taken.extent(0) * sizeof(FourStars<float>) +
+         lists_.beside_metal.extent(0) * sizeof(cycle::MetalSteps) + lists_.metal_terms.bytes();
 }
 
 }  // namespace amrpic::kokkos

@@ -31,6 +31,8 @@ class InterfaceCells {
     NumberedFits fits;
     GapTerms coarse_terms, fine_terms;
     Array<FourStars<float>> taken;  ///< of each gap
+    Array<cycle::MetalSteps> beside_metal;
+    GapTerms metal_terms;
   };
 
  private:
@@ -38,9 +40,13 @@ class InterfaceCells {
   void for_each_face(char const* name, F const& f) const {
     for (Range const& part : of_direction_) for_each(name, part, f);
   }
+  template <class F>
+  void for_each_beside_metal(char const* name, F const& f) const {
+    for (Range const& part : beside_metal_) for_each(name, part, f);
+  }
 
   Lists lists_;
-  std::array<Range, 6> of_direction_;
+  std::array<Range, 6> of_direction_, beside_metal_;
 };
 
 }  // namespace amrpic::kokkos

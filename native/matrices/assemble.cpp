@@ -1,9 +1,13 @@
 #include <algorithm>
+#include <map>
+#include <optional>
+#include <tuple>
 
 #include "matrices/halos.hpp"
 #include "matrices/intergrid_rows.hpp"
 #include "matrices/near_levels.hpp"
 #include "matrices/operators.hpp"
+#include "multigrid/metal_on_levels.hpp"
 #include "multigrid/open_walls.hpp"
 
 namespace amrpic {
@@ -32,12 +36,59 @@ Form regular_mean(Index3 const& ratio) {
   return out;
 }
 
+/// Metal as a level and those beside it see it.
+class MetalBesideLevel {
+ public:
+  MetalBesideLevel(Metal const& metal, MultigridLevels const& multigrid, std::size_t l) {
+    Level const& level = *multigrid.levels[l];
+    auto const [coarser, finer, finest] = multigrid.beside(l);
+    std::vector<Box> own, around, behind, near, before;
+    for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
+      Box const& box = level.box(b);
+      own.push_back(box), around.push_back(box.grow(1));
+      behind.push_back(box.coarsen(refinement_ratio).grow(1 + plane_reach));
+      near.push_back(box.grow(1 + plane_reach));
+      if (!finer) continue;
+      for (FinerNeighbour const& n : BoxFaces(level, box, finer).beside) {
+        Index3 outwards{0, 0, 0};
+        outwards[n.axis] = 1;
+        before.push_back(n.cells.part.refine(refinement_ratio).grow(outwards));
+      }
+    }
+    of_corrections = metal_on(metal, multigrid, l, own);
+    if (l < multigrid.base) return;
+    std::vector<Level const*> const next(finer ? 1 : 0, finer);
+    of_potential = metal_of_level(metal, level, coarser, next, own, false).cells;
+    if (coarser) behind_.emplace(*coarser, level, metal.cells(*coarser, behind), metal.cells(level, around));
+    if (!before.empty()) before_.emplace(level, *finer, metal.cells(level, near), metal.cells(*finer, before));
+  }
+
+  MetalCells of_corrections, of_potential;  ///< as the equations of either have them
+
+  /// What metal makes of a face of a cell between levels; null if it is as others are.
+  MetalFace const* face(Index3 const& cell, int axis, int side, FaceShape const& shape) {
+    bool const is_behind = shape.beyond == Beyond::coarser;
+    auto const& levels = is_behind ? behind_ : before_;
+    if (!levels || (!is_behind && shape.beyond != Beyond::finer)) return nullptr;
+    Index3 coarse = cell;
+    if (is_behind) coarse[axis] += side == 0 ? -1 : 1, coarse = parent_of(coarse);
+    CoarseFace const at{coarse, axis, is_behind ? side : 1 - side};
+    auto const [known, is_new] = faces_.try_emplace({is_behind, axis, side, coarse[0], coarse[1], coarse[2]});
+    if (is_new) known->second = levels->beside_metal(at, shape.fit);
+    return known->second ? &*known->second : nullptr;
+  }
+
+ private:
+  std::optional<LevelsInMetal> behind_, before_;
+  std::map<std::tuple<bool, int, int, int, int, int>, std::optional<MetalFace>> faces_;
+};
+
 /// Names the form of each row of one level's operators, box by box; kernels then fill these.
 class LevelAssembly {
  public:
   /// `coarse`, `fine`: null where there is no such level.
   LevelAssembly(MultigridLevels const& multigrid, std::size_t l, Prolongation kind, LevelCells const& own,
-                LevelCells const* coarse, LevelCells const* fine)
+                LevelCells const* coarse, LevelCells const* fine, Metal const* metal)
       : multigrid_(multigrid),
         l_(l),
         kind_(kind),
@@ -58,6 +109,7 @@ class LevelAssembly {
         prolongation_(own.rows()),
         uncovered_(std::size_t(own.rows()), 1) {
     if (!faces_) faces_ = std::make_shared<LevelFaces const>(faces_of_boxes(level_, nullptr));
+    if (metal) metal_.emplace(*metal, multigrid, l);
     regular_laplacian_ = own_forms_.number(regular_laplacian(equation_, near_));
     if (finer_) regular_mean_ = fine_forms_.number(regular_mean(levels_.ratio_above));
     if (coarser_)
@@ -75,8 +127,9 @@ class LevelAssembly {
       Box const parents = coarser_ ? parents_read(level_.box(b), levels_.ratio_below, kind_) : Box{};
       auto const children = levels_.add(level_.box(b), n, parents);
       name_laplacians(b, n, children);
-      levels_.add_own(n);
       if (coarser_) name_prolongation(b);
+      if (metal_) name_metal(b, n);
+      levels_.add_own(n);
     }
   }
 
@@ -89,8 +142,8 @@ class LevelAssembly {
       out.coarse_boundary = levels_.to_coarser(coarse_forms_, coarse_boundary_);
       out.prolongation = levels_.to_coarser(coarse_forms_, prolongation_);
     }
+    if (has_composite()) out.own_composite = levels_.to_own(own_forms_, composite_);
     if (finer_) {
-      out.own_composite = levels_.to_own(own_forms_, composite_);
       out.fine_boundary = levels_.to_finer(fine_forms_, fine_boundary_);
       out.restriction = levels_.to_finer(fine_forms_, restriction_);
     }
@@ -108,6 +161,8 @@ class LevelAssembly {
   /// A multigrid level is covered whole by the next one.
   bool is_fully_covered() const { return finer_ && !multigrid_.refines(l_ + 1); }
 
+  bool has_composite() const { return finer_ || metal_; }
+
   void name_laplacians(int b, StencilCells const& n, ArrayOnBox<LocalIndex> const& children) {
     auto const kinds = row_kinds(n, Execution::without_finer);
     auto const composite =
@@ -117,11 +172,18 @@ class LevelAssembly {
       for_each_in_run(first, run,
                       [&](Index3 const& cell, LocalIndex row) { name_special(n, cell, row, composite(cell)); });
     });
-    if (finer_) name_composite(b, n, composite, children);
+    if (has_composite()) name_composite(b, n, composite, children);
+  }
+
+  CellShape shape_of(StencilCells const& n, Index3 const& cell, Execution execution) {
+    CellShape out = cell_shape(n, cell, execution, gaps_);
+    for (int axis = 0; metal_ && axis < 3; ++axis)
+      for (int side = 0; side < 2; ++side) out[axis][side].metal = metal_->face(cell, axis, side, out[axis][side]);
+    return out;
   }
 
   Numbered const& laplacian(StencilCells const& n, Index3 const& cell, Execution execution) {
-    CellShape const shape = cell_shape(n, cell, execution, gaps_);
+    CellShape const shape = shape_of(n, cell, execution);
     return laplacians_(shape, [&] {
       SplitForm form(laplacian_form(equation_, near_.own(),
                                     [&](int axis, int side) { return near_.across(shape[axis][side], axis, side); }));
@@ -134,7 +196,7 @@ class LevelAssembly {
   /// A row that a missing neighbour makes special, and with it that of the composite where it is the same.
   void name_special(StencilCells const& n, Index3 const& cell, LocalIndex row, RowKind composite) {
     Numbered const& form = laplacian(n, cell, Execution::without_finer);
-    if (finer_ && composite == RowKind::special) composite_.set(row, form.own);
+    if (has_composite() && composite == RowKind::special) composite_.set(row, form.own);
     no_fine_.set(row,
                  composite == RowKind::covered ? own_forms_.number(with_open_walls(form.form.own, n, cell)) : form.own);
     coarse_boundary_.set(row, form.coarse);
@@ -153,6 +215,58 @@ class LevelAssembly {
         Numbered const& form = laplacian(n, cell, Execution::composite);
         composite_.set(row, form.own);
         fine_boundary_.set(row, form.fine);
+      });
+    });
+  }
+
+  /// The equation of a cut cell. `open`: covered, so that corrections vanish some way behind open walls.
+  SplitForm cut_form(StencilCells const& n, CutCell const& cut, Execution execution, bool open) {
+    CellShape const shape = shape_of(n, cut.cell, execution);
+    auto const is_at = [&](int axis, int side, Boundary kind) {
+      return n.faces(cut.cell)(axis, side) == Beyond::wall && multigrid_.boundary[axis][side] == kind;
+    };
+    return SplitForm(cut_laplacian_form(
+        equation_, near_.own(), cut,
+        [&](int axis, int side) {
+          return n.faces(cut.cell)(axis, side) == Beyond::wall && multigrid_.walls[l_][axis][side].second != 0;
+        },
+        [&](int axis, int side) {
+          Form out = near_.across(shape[axis][side], axis, side);
+          if (open && is_at(axis, side, Boundary::open))
+            out += open_walls_.first(l_, cut.cell, axis, side) * near_.own();
+          return out;
+        }));
+  }
+
+  /// The rows of cells in and beside metal, in place of others.
+  void name_metal(int b, StencilCells const& n) {
+    auto const row_of = [&](Index3 const& cell) {
+      return level_.local_offset(b) + LocalIndex(level_.box(b).offset(cell));
+    };
+    auto const set_boundaries = [&](LocalIndex row, SplitForm const& form) {
+      coarse_boundary_.set(row, coarse_forms_.number(form.coarse));
+      fine_boundary_.set(row, fine_forms_.number(form.fine));
+    };
+    LocalIndex const held = own_forms_.number(-equation_.diagonal() * near_.own());
+    for_each_row(level_.box(b), [&](Index3 const& first) {
+      int const count = level_.box(b).extent(0);
+      metal_->of_corrections.for_each_cut(first, count, [&](CutCell const& cut) {
+        LocalIndex const row = row_of(cut.cell);
+        SplitForm const form = cut_form(n, cut, Execution::without_finer, !uncovered_[std::size_t(row)]);
+        no_fine_.set(row, own_forms_.number(form.own));
+      });
+      metal_->of_potential.for_each_cut(first, count, [&](CutCell const& cut) {
+        LocalIndex const row = row_of(cut.cell);
+        if (!uncovered_[std::size_t(row)]) return;
+        SplitForm const form = cut_form(n, cut, Execution::composite, false);
+        composite_.set(row, own_forms_.number(form.own));
+        set_boundaries(row, form);
+      });
+      metal_->of_corrections.for_each_solid(first, count, [&](SolidCell const& solid) {
+        LocalIndex const row = row_of(solid.cell);
+        no_fine_.set(row, held);
+        composite_.set(row, no_form), prolongation_.set(row, no_form);
+        set_boundaries(row, {});
       });
     });
   }
@@ -256,6 +370,7 @@ class LevelAssembly {
   std::array<LocalIndex, 8> regular_prolongation_{};  ///< by the parities of the cell
   RowForms no_fine_, composite_, fine_boundary_, restriction_, coarse_boundary_, prolongation_;
   std::vector<char> uncovered_;
+  std::optional<MetalBesideLevel> metal_;
 };
 
 /// Whether both have the same level in a place, or none.
@@ -302,7 +417,7 @@ void drop_outdated(Communicator const& comm, MultigridLevels const& multigrid, A
 }  // namespace
 
 Assembled assemble(Communicator const& comm, MultigridLevels const& multigrid, Prolongation prolongation,
-                   Assembled former) {
+                   Assembled former, Metal const* metal) {
   std::size_t const count = multigrid.levels.size();
   Assembled result{multigrid, prolongation, reused(multigrid, prolongation, former), 0};
   MultigridOperators& out = result.operators;
@@ -324,7 +439,7 @@ Assembled assemble(Communicator const& comm, MultigridLevels const& multigrid, P
   for (std::size_t l = 0; l < count; ++l) {
     if (!is_new[l]) continue;
     LevelAssembly assembly(multigrid, l, prolongation, *out[l]->cells, l > 0 ? out[l - 1]->cells.get() : nullptr,
-                           l + 1 < count ? out[l + 1]->cells.get() : nullptr);
+                           l + 1 < count ? out[l + 1]->cells.get() : nullptr, metal);
     assembly.name_rows();
     assembly.fill(*out[l]);
   }

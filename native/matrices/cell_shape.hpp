@@ -5,6 +5,7 @@
 #include <unordered_map>
 
 #include "mesh/fits_behind.hpp"
+#include "mesh/metal_faces.hpp"
 #include "multigrid/stencil_cells.hpp"
 #include "stencil/gap_fit.hpp"
 #include "stencil/interface.hpp"
@@ -19,10 +20,11 @@ struct FaceShape {
   FitNumber fit = central_fit;            ///< at interfaces
   GapFit const* gap = nullptr;            ///< where that is `fit_in_gap`
   Real seam = 1;                          ///< see `seam_factor`
+  MetalFace const* metal = nullptr;       ///< at interfaces that metal makes other than those with fits
 
   bool operator==(FaceShape const& other) const {
     return beyond == other.beyond && upper_u == other.upper_u && upper_v == other.upper_v && fit == other.fit &&
-           gap == other.gap && seam == other.seam;
+           gap == other.gap && seam == other.seam && metal == other.metal;
   }
 };
 
@@ -79,7 +81,7 @@ class ByShape {
           out = 0x9e3779b97f4a7c15 * (out ^ out >> 32 ^
                                       (std::size_t(face.fit) << 4 | std::size_t(face.upper_u) << 3 |
                                        std::size_t(face.upper_v) << 2 | std::size_t(face.beyond)) ^
-                                      std::hash<GapFit const*>()(face.gap));
+                                      std::hash<GapFit const*>()(face.gap) ^ std::hash<MetalFace const*>()(face.metal));
       return out ^ out >> 32;
     }
   };

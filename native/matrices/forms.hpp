@@ -29,7 +29,7 @@ class FormsNear {
       first_child[u] = face.upper_u ? -1 : 0, first_child[v] = face.upper_v ? -1 : 0;
       Behind const behind{Unknown::On::coarser, along(axis, step), Unknown::On::own, first_child};
       Form const star = fit(face, axis, face.upper_u, face.upper_v, behind);
-      return ghost_at_interface(star, here, inner);
+      return ghost(face, face.upper_u, face.upper_v, star, here, inner);
     }
     if (face.beyond == Beyond::finer) {
       auto const [u, v] = tangential_axes(axis);
@@ -41,11 +41,12 @@ class FormsNear {
           Index3 second = first;
           second[axis] += step;
           Form const phi_1(unknown(Unknown::On::finer, first), 1), phi_2(unknown(Unknown::On::finer, second), 1);
+          if (face.metal && !face.metal->linked[std::size_t(b)][std::size_t(a)]) continue;
           Form const star =
               fit(face, axis, a == 1, b == 1, {Unknown::On::own, {0, 0, 0}, Unknown::On::finer, {0, 0, 0}});
-          differences += phi_1 - ghost_at_interface(star, phi_1, phi_2);
+          differences += phi_1 - ghost(face, a == 1, b == 1, star, phi_1, phi_2);
         }
-      return ghost_at_fine_faces(here, differences);
+      return ghost_at_fine_faces(here, face.metal ? face.metal->of_links() * differences : differences);
     }
     return neighbour_at_seam(face.seam, here, own(axis, step));
   }
@@ -81,9 +82,27 @@ class FormsNear {
     Index3 first_child;
   };
 
+  /// The ghost by phi*, the cell before it and the next one.
+  static Form ghost(FaceShape const& face, bool upper_u, bool upper_v, Form const& star, Form const& first,
+                    Form const& second) {
+    if (!face.metal) return ghost_at_interface(star, first, second);
+    MetalFace const& metal = *face.metal;
+    return metal.star(upper_u, upper_v) * star + metal.first(upper_u, upper_v) * first +
+           metal.second(upper_u, upper_v) * second;
+  }
+
   /// phi* in front of the children in the lower or upper half of the middle cell along either axis of its plane.
   Form fit(FaceShape const& face, int axis, bool upper_u, bool upper_v, Behind const& behind) const {
     Form out;
+    if (face.metal) {
+      auto const [u, v] = tangential_axes(axis);
+      for (auto const& term : face.metal->cells) {
+        Index3 cell = behind.middle;
+        cell[u] += term.i, cell[v] += term.j;
+        out.add(unknown(behind.coarse, cell), term.weight[upper_v][upper_u]);
+      }
+      return out;
+    }
     if (face.gap) {
       for (auto const& term : face.gap->terms) {
         Real const weight = term.weight[upper_v][upper_u];
@@ -113,6 +132,22 @@ inline Form laplacian_form(Equation const& equation, Form const& here, Across&& 
   Form out(here.terms()[0].column, 0);
   return out +=
          laplacian(equation, here, across(0, 0), across(0, 1), across(1, 0), across(1, 1), across(2, 0), across(2, 1));
+}
+
+/// The same in a cut cell, its equation scaled, see CutRow. is_parabola(axis, side): of walls.
+template <class Parabola, class Across>
+inline Form cut_laplacian_form(Equation const& equation, Form const& here, CutCell const& cut, Parabola&& is_parabola,
+                               Across&& across) {
+  std::array<Arm, 6> arms;
+  for (std::size_t n = 0; n < 6; ++n) {
+    arms[n] = arm_of(cut, n);
+    arms[n].is_parabola = is_parabola(int(n) / 2, int(n) % 2);
+  }
+  CutRow const row = cut_row(equation, arms, cut.hold);
+  Form out(here.terms()[0].column, -row.diagonal);
+  for (std::size_t n = 0; n < 6; ++n)
+    if (row.neighbour[n] != 0) out += row.neighbour[n] * across(int(n) / 2, int(n) % 2);
+  return out;
 }
 
 /// L phi in a cell whose neighbours are of its level.

@@ -7,6 +7,7 @@
 
 #include "base/communicator.hpp"
 #include "matrices/sparse_matrix.hpp"
+#include "mesh/metal.hpp"
 #include "multigrid/multigrid_levels.hpp"
 
 namespace amrpic {
@@ -25,7 +26,7 @@ struct LevelOperators {
   Real3 last_width{1, 1, 1};  ///< of last cells, see `UpperEnd`
 
   SparseMatrix no_fine;
-  std::optional<SparseMatrix> own_composite;  ///< kept apart only where a finer level exists
+  std::optional<SparseMatrix> own_composite;  ///< kept apart only where a finer level exists, or metal
   SparseMatrix coarse_boundary;               ///< columns: next coarser level
   SparseMatrix fine_boundary;                 ///< columns: next finer level
   SparseMatrix restriction;                   ///< rows of covered cells; columns: next finer level
@@ -52,9 +53,11 @@ struct Assembled {
 };
 
 /// All operators of multigrid levels except the gradient, counted and filled directly. Those of levels that `former`
-/// has with the same neighbouring levels are reused; the others are freed before new ones take memory. Collective.
+/// has with the same neighbouring levels are reused; the others are freed before new ones take memory. `metal`: null if
+/// there is none; cut cells have their equations scaled, see CutRow, and solid ones have none but in `no_fine`, where
+/// they are held at zero. Collective.
 Assembled assemble(Communicator const& comm, MultigridLevels const& multigrid, Prolongation prolongation,
-                   Assembled former = {});
+                   Assembled former = {}, Metal const* metal = nullptr);
 
 /// Add the three axes of the gradient to those operators that lack them. Collective.
 void assemble_gradient(MultigridLevels const& multigrid, MultigridOperators const& operators);

@@ -8,12 +8,12 @@ namespace amrpic {
 
 namespace {
 
-/// The row of a cell that lacks a neighbour, has one twice, or lies at a seam.
+/// The row of a cell that lacks a neighbour, has one twice, lies at a seam, or is `cut`; null if it is not.
 Form special_row(Equation const& equation, SemicoarsenedLevel const& semicoarse, StencilCells const& n,
-                 Index3 const& cell) {
+                 Index3 const& cell, CutCell const* cut = nullptr) {
   FormsNear const near(*semicoarse.level, semicoarse.walls);
   GapFits no_gaps;  // its ends have ghosts of their own
-  return laplacian_form(equation, near.own(), [&](int axis, int side) {
+  auto const across = [&](int axis, int side) {
     CellFaces const& faces = n.faces(cell);
     if (faces(axis, side) == Beyond::same_level)
       return near.across(face_shape(n, cell, axis, side, Execution::without_finer, no_gaps), axis, side);
@@ -21,12 +21,17 @@ Form special_row(Equation const& equation, SemicoarsenedLevel const& semicoarse,
         faces(axis, side) == Beyond::wall ? semicoarse.walls[axis][side] : semicoarse.ghost(cell, axis, side);
     if (faces(axis, 1 - side) != Beyond::same_level) ghost.second = 0;
     return ghost(near.own(), near.own(axis, side == 0 ? 1 : -1));
-  });
+  };
+  if (!cut) return laplacian_form(equation, near.own(), across);
+  auto const is_parabola = [&](int axis, int side) {
+    return n.faces(cell)(axis, side) == Beyond::wall && semicoarse.walls[axis][side].second != 0;
+  };
+  return cut_laplacian_form(equation, near.own(), *cut, is_parabola, across);
 }
 
 /// `reads`: what any operator reads of the semicoarse.
 std::shared_ptr<LevelOperators> laplacian_of(Communicator const& comm, SemicoarsenedLevel const& semicoarse,
-                                             CellReads const& reads, Real shift) {
+                                             CellReads const& reads, Real shift, MetalCells const& metal) {
   auto out = std::make_shared<LevelOperators>();
   Level const& level = *semicoarse.level;
   out->level = semicoarse.level;
@@ -36,7 +41,9 @@ std::shared_ptr<LevelOperators> laplacian_of(Communicator const& comm, Semicoars
   FormTable forms;
   RowForms rows(level.local_cells());
   NearPlaces places;
-  LocalIndex const regular = forms.number(regular_laplacian(equation, FormsNear(level, semicoarse.walls)));
+  FormsNear const near(level, semicoarse.walls);
+  LocalIndex const regular = forms.number(regular_laplacian(equation, near));
+  LocalIndex const held = forms.number(-equation.diagonal() * near.own());
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
     StencilCells const n = stencil_cells_of(BoxFaces(level, level.box(b)), level, {}, seam_width);
     places.add(out->cells->places(n.own_box()));
@@ -47,6 +54,14 @@ std::shared_ptr<LevelOperators> laplacian_of(Communicator const& comm, Semicoars
                      rows.set(row, forms.number(special_row(equation, semicoarse, n, cell)));
                    });
                  });
+    for_each_row(level.box(b), [&](Index3 const& first) {
+      LocalIndex const row = level.local_offset(b) + LocalIndex(level.box(b).offset(first));
+      metal.for_each_cut(first, level.box(b).extent(0), [&](CutCell const& cut) {
+        rows.set(row + cut.cell[0] - first[0], forms.number(special_row(equation, semicoarse, n, cut.cell, &cut)));
+      });
+      metal.for_each_solid(first, level.box(b).extent(0),
+                           [&](SolidCell const& solid) { rows.set(row + solid.cell[0] - first[0], held); });
+    });
   }
   out->no_fine = filled(forms, rows, places, {}, *out->cells, *out->cells);
   return out;
@@ -93,8 +108,9 @@ SparseMatrix restriction_of(SemicoarsenedLevel const& semicoarse, LevelCells con
   return filled(forms, row_forms, near, {semicoarse.ratio, {1, 1, 1}}, rows, above);
 }
 
-/// Interpolation between the parents, or what stands for them behind the level's ends.
-SparseMatrix prolongation_of(SemicoarsenedLevel const& semicoarse, LevelCells const& rows, LevelCells const& own) {
+/// Interpolation between the parents, or what stands for them behind the level's ends; to no cell in metal.
+SparseMatrix prolongation_of(SemicoarsenedLevel const& semicoarse, LevelCells const& rows, LevelCells const& own,
+                             MetalCells const& metal) {
   Level const& above = rows.level();
   Real3 const seam_width = seam_widths(semicoarse.level->periodic(), semicoarse.upper);
   FormTable forms;
@@ -105,6 +121,7 @@ SparseMatrix prolongation_of(SemicoarsenedLevel const& semicoarse, LevelCells co
     auto const places = own.places(above.box(b).coarsen(semicoarse.ratio).grow(1));
     near.add(places);
     for_each_cell(above.box(b), [&](Index3 const& cell) {
+      if (metal.solid_at(cell)) return void(++row);
       Trilinear around{Box{cell, cell}.coarsen(semicoarse.ratio).lower};
       for (int d = 0; d < 3; ++d)
         if (semicoarse.ratio[d] == 2) around.interpolate(cell, d, *semicoarse.level, seam_width[d]);
@@ -123,17 +140,18 @@ SparseMatrix prolongation_of(SemicoarsenedLevel const& semicoarse, LevelCells co
 }  // namespace
 
 SemicoarseOperators semicoarse_operators(Communicator const& comm, std::shared_ptr<Level const> const& finer,
-                                         SemicoarsenedLevel const& level, Real shift) {
+                                         SemicoarsenedLevel const& level, Real shift,
+                                         std::array<MetalCells, 2> const& metal) {
   SemicoarseOperators out;
   CellReads children(*finer), own = stencil_reads(*level.level);
   add_children(children, *level.level, level.ratio);
   own.add(  // parents
       *finer, [&](Box const& o) { return o.grow(1).refine(level.ratio); },
       [&](int b, auto&& read) { read(finer->box(b).coarsen(level.ratio).grow(1)); });
-  out.level = laplacian_of(comm, level, own, shift);
+  out.level = laplacian_of(comm, level, own, shift, metal[0]);
   out.finer = std::make_shared<LevelCells const>(comm, finer, Halo(comm, children));
   out.level->restriction = restriction_of(level, *out.level->cells, *out.finer);
-  out.prolongation = prolongation_of(level, *out.finer, *out.level->cells);
+  out.prolongation = prolongation_of(level, *out.finer, *out.level->cells, metal[1]);
   return out;
 }
 

@@ -13,8 +13,9 @@ struct SemicoarseOperators {
   SparseMatrix prolongation;                ///< rows: of the finer level
 };
 
-/// `shift`: of the Equation. Collective.
+/// `shift`: of the Equation; `metal`: on the level, and on the finer one, in this rank's boxes. Collective.
 SemicoarseOperators semicoarse_operators(Communicator const& comm, std::shared_ptr<Level const> const& finer,
-                                         SemicoarsenedLevel const& level, Real shift);
+                                         SemicoarsenedLevel const& level, Real shift,
+                                         std::array<MetalCells, 2> const& metal = {});
 
 }  // namespace amrpic

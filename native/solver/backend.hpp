@@ -58,10 +58,12 @@ class Backend {
   virtual Real largest_phi_term() { return composite_.diagonal_norm(*phi_, problem_.options.norm); }
   /// Estimate of the largest error of phi that the mesh makes, V; 0 if it cannot be estimated, or not yet.
   virtual Real discretisation_error();
+  /// Say that data of walls were changed since `start`.
+  virtual void walls_changed() {}
   /// Leave in phi what was found, means of the children in covered cells.
   virtual void finish() { composite_.fill_metal(problem_.potentials, *phi_); }
   /// See CompositeResidual, for a potential that is averaged down.
-  void for_each_charge(Field const& phi, Field const& rho, CompositeResidual::OfCharge const& f) {
+  virtual void for_each_charge(Field const& phi, Field const& rho, CompositeResidual::OfCharge const& f) {
     composite_.for_each_charge({rho, problem_.walls, {}, problem_.potentials}, phi, f);
   }
 

@@ -8,7 +8,7 @@ namespace amrpic {
 std::shared_ptr<Assembled const> assemble_to_show(Problem const& problem) {
   auto const out = std::make_shared<Assembled>(
       assemble(problem.hierarchy->comm(), refinement_levels(*problem.hierarchy, shift_of(problem.options)),
-               problem.options.prolongation));
+               problem.options.prolongation, {}, problem.metal.get()));
   assemble_gradient(out->multigrid, out->operators);
   return out;
 }

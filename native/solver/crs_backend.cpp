@@ -26,8 +26,9 @@ class CrsBackend : public Backend {
                                         {hierarchy_.max_grid_size()}, problem.options.coarse_levels)),
         operators_(assembled(reusable)),
         multigrid_(hierarchy_.comm(), multigrid_levels_, operators_, bottom(reusable), hierarchy_.max_grid_size(),
-                   problem.options),
+                   problem.options, problem.metal.get()),
         values_(zero()) {
+    if (!composite_.has_residual_of_zero()) nothing_.emplace(problem.hierarchy);
     if (problem.options.krylov == KrylovKind::bicgstab) bicgstab_.emplace(equations());
   }
 
@@ -99,16 +100,19 @@ class CrsBackend : public Backend {
   std::optional<BiCgStab> bicgstab_;
   bool in_single_ = false;  ///< whether the matrix-free backend's vectors give the residual and take the correction
   bool has_gradient_ = false;
+  std::optional<Field> nothing_;  ///< a potential of zero, where data make more of its residual than right-hand sides
 };
 
-/// The operators; those that can be are taken over.
+/// The operators; those that can be are taken over. Beside metal none is, as where it is may be other.
 MultigridOperators CrsBackend::assembled(Reusable& reusable) {
   Assembled former;
   if (reusable.operators) former = std::move(*reusable.operators);
-  reusable.operators = std::make_shared<Assembled>(
-      assemble(hierarchy_.comm(), multigrid_levels_, problem_.options.prolongation, std::move(former)));
-  levels_assembled_ = reusable.operators->made;
-  return reusable.operators->operators;
+  if (problem_.metal) former = {};
+  auto const assembled = std::make_shared<Assembled>(assemble(
+      hierarchy_.comm(), multigrid_levels_, problem_.options.prolongation, std::move(former), problem_.metal.get()));
+  reusable.operators = problem_.metal ? nullptr : assembled;
+  levels_assembled_ = assembled->made;
+  return assembled->operators;
 }
 
 /// The bottom that was taken over if it serves, else a new one.
@@ -116,7 +120,8 @@ std::shared_ptr<Bottom> CrsBackend::bottom(Reusable& reusable) {
   if (!reusable.bottom || !reusable.bottom->serves(*operators_.front())) {
     reusable.bottom.reset();  // the old one goes before the new one comes
     reusable.bottom = std::make_shared<Bottom>(hierarchy_.comm(), *operators_.front(),
-                                               is_singular(hierarchy_.domain(), problem_.options), problem_.options);
+                                               !problem_.metal && is_singular(hierarchy_.domain(), problem_.options),
+                                               problem_.options);
     ++bottom_setups_;
   }
   return reusable.bottom;
@@ -177,7 +182,10 @@ Real CrsBackend::find_residual() {
   CompositeMesh const& mesh = composite_.mesh();
   auto const right_hand_side = &MultigridLevel::right_hand_side;
   std::vector<Real> const unscaled(scale_.size(), 1);
-  composite_.residual_of_zero(*source_, Norm::max, unscaled, blocks(right_hand_side));
+  if (nothing_)
+    composite_.residual(*source_, *nothing_, Norm::max, unscaled, blocks(right_hand_side));
+  else
+    composite_.residual_of_zero(*source_, Norm::max, unscaled, blocks(right_hand_side));
   for (int l = 0; l < mesh.levels(); ++l) copy_in(phi_->level(l), values_[std::size_t(l)].own());
   average_down(values_);
   for (int l = 0; l < mesh.levels(); ++l) multiply(values_, l, -1, cycle_level(l).right_hand_side);

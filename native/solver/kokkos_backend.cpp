@@ -25,9 +25,19 @@ class KokkosBackend : public Backend {
   void start(Field& phi, bool is_zero) override {
     Backend::start(phi, is_zero);
     kernels_->composite.start(*source_, phi);
+    is_under_way_ = true;
     host_takes_part_ = false;
   }
-  void finish() override { kernels_->composite.potential_to_host(); }
+  void finish() override {
+    kernels_->composite.potential_to_host();
+    is_under_way_ = false;
+    Backend::finish();
+  }
+  void walls_changed() override { kernels_->composite.walls_changed(); }
+  void for_each_charge(Field const& phi, Field const& rho, CompositeResidual::OfCharge const& f) override {
+    if (is_under_way_) kernels_->composite.potential_to_host();
+    Backend::for_each_charge(phi, rho, f);
+  }
   void accelerate() override {
     Backend::accelerate();
     host_takes_part_ = true;
@@ -87,6 +97,7 @@ class KokkosBackend : public Backend {
   }
 
   std::unique_ptr<Kernels> kernels_;
+  bool is_under_way_ = false;     ///< whether the kernels' potential is newer than the host's
   bool host_takes_part_ = false;  ///< whether the host reads and writes residuals and corrections as well
   AtFinalize release_{[this] { kernels_.reset(); }};
 };

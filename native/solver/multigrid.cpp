@@ -1,5 +1,7 @@
 #include "solver/multigrid.hpp"
 
+#include "multigrid/metal_on_levels.hpp"
+
 namespace amrpic {
 
 namespace {
@@ -14,11 +16,19 @@ std::unique_ptr<Smoother> smoother_of(LevelOperators const& operators, bool v_cy
 }  // namespace
 
 Multigrid::Multigrid(Communicator const& comm, MultigridLevels const& multigrid, MultigridOperators const& operators,
-                     std::shared_ptr<Bottom> bottom, int max_grid_size, SolverOptions const& options)
+                     std::shared_ptr<Bottom> bottom, int max_grid_size, SolverOptions const& options,
+                     Metal const* metal)
     : cycle_levels_(multigrid, max_grid_size), bottom_(std::move(bottom)) {
   MultigridOperators all = operators;
+  auto const own_metal = [&](std::size_t l) {
+    Level const& level = *cycle_levels_.level(l);
+    std::vector<Box> own;
+    for (int b = level.first_local_box(); b < level.last_local_box(); ++b) own.push_back(level.box(b));
+    return metal ? metal_on(*metal, cycle_levels_, l, own) : MetalCells{};
+  };
   for (auto const& level : cycle_levels_.semicoarsened) {
-    semicoarse_.push_back(semicoarse_operators(comm, all[level.finer]->level, level, shift_of(options)));
+    semicoarse_.push_back(semicoarse_operators(comm, all[level.finer]->level, level, shift_of(options),
+                                               {own_metal(all.size()), own_metal(level.finer)}));
     all.push_back(semicoarse_.back().level);
   }
   Sweeps const sweeps{options.pre_sweeps, options.post_sweeps};

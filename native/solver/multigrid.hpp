@@ -29,9 +29,10 @@ struct MultigridLevel {
 /// with the operators.
 class Multigrid : public CycleActs {
  public:
-  /// The operators must outlive it. Collective.
+  /// The operators must outlive it; `metal`: null if there is none. Collective.
   Multigrid(Communicator const& comm, MultigridLevels const& multigrid, MultigridOperators const& operators,
-            std::shared_ptr<Bottom> bottom, int max_grid_size, SolverOptions const& options);
+            std::shared_ptr<Bottom> bottom, int max_grid_size, SolverOptions const& options,
+            Metal const* metal = nullptr);
 
   std::vector<MultigridLevel> const& levels() const { return levels_; }
   MultigridLevel& level(std::size_t l) { return levels_[l]; }  ///< as in CycleLevels

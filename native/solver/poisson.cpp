@@ -138,6 +138,7 @@ void PoissonSolver::update_induced_charge(Field const& phi, Field const& rho) {
 void PoissonSolver::show_induced_charge() {
   for (std::size_t i = 0; i < of_induced_.size(); ++i)
     walls_[open_faces_[i].level].datum[open_faces_[i].face] = of_charge_[i] + of_induced_[i];
+  backend_->walls_changed();
 }
 
 void PoissonSolver::set_open_walls(Field const& rho, freespace::Which which) {

@@ -73,7 +73,6 @@ REFUSED = {
         "meets a periodic face across z",
     ),
     "two of a name": (CLOSED, (), [at(BALL), at(shapes.Sphere((0.7, 0, 0), 0.1))], {}, "two electrodes are named e"),
-    "compressed rows": (CLOSED, (), [at(BALL)], {"backend": "crs"}, 'backend is "crs" with electrodes'),
     "the fourth order": (CLOSED, (), [at(BALL)], {"order": 4}, "order is 4 with electrodes"),
     "a mirror": (
         {"x": CLOSED, "y": CLOSED, "z": CLOSED},

@@ -153,10 +153,6 @@ def test_mistakes_in_what_drives_an_electrode_get_one_sentence(drive, sentence):
             {"apertures": [{"kind": "round", "name": "a", "radius": 1}]},
             r"electrodes\.0\.name \('a'\) is the name of an aper",
         ),
-        (
-            {"solver": {"backend": "crs"}},
-            r"solver\.backend \('crs'\) does not know electrodes; set it to 'matrix-free'",
-        ),
         ({"solver": {"order": 4}}, r"solver\.order \(4\) does not know electrodes; set it to 2"),
         (
             {"domain": {**DOMAIN, "boundary": "neumann"}, "electrodes": [{"name": "a", "shape": BALL, "charge": 1}]},

@@ -38,7 +38,7 @@ class MovedBunch(Bunch):
     @model_validator(mode="after")
     def _axis_has_length(self) -> Self:
         if not any(self.axis):
-            raise complaint("has no length", "give a direction", path="axis", found=list(self.axis))
+            self.refuse("axis", "has no length", "give a direction")
         return self
 
     @property
@@ -115,12 +115,7 @@ class ArrayBunch(MovedBunch, DescribedBunch):
     @model_validator(mode="after")
     def _source(self) -> Self:
         if self.file is None and self.position is None and self.digest is None:
-            raise complaint(
-                "is missing",
-                "give arrays from Python, or file = an .npz that holds them",
-                path="position",
-                found="nothing",
-            )
+            self.refuse("position", "is missing", "give arrays from Python, or file = an .npz that holds them")
         without_charge = self.charge is None and self.particle_charge is None
         if self.position is not None and self.self_field and (self.weight is None) == without_charge:
             raise complaint(

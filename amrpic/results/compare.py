@@ -311,16 +311,16 @@ def _in_both(first: Table, second: Table) -> tuple[list[Table], int]:
     return rows, len(first) + len(second) - 2 * len(rows[0])
 
 
-def _counted(what: str, number: int, how: str, otherwise: str = "") -> Difference:
+def _counted(name: str, number: int, how: str, otherwise: str = "") -> Difference:
     """Return a difference of which there must be none at all."""
-    return Difference(what, math.inf if number else 0.0, f"{number} {how}" if number else otherwise)
+    return Difference(name, math.inf if number else 0.0, f"{number} {how}" if number else otherwise)
 
 
-def _over_rms(what: str, distance: Table, values: Table, where: str = "") -> Difference:
+def _over_rms(name: str, distance: Table, values: Table, where: str = "") -> Difference:
     """Return the largest distance, over the rms of the values that it is between unless that is zero."""
     rms = float(np.sqrt(np.mean(np.square(values)))) if len(values) else 0.0
     worst = float(np.abs(distance).max(initial=0.0))
-    return Difference(what, worst / rms if rms > 0 else worst, where)
+    return Difference(name, worst / rms if rms > 0 else worst, where)
 
 
 def _speed(first: Table, second: Table) -> Iterator[tuple[str, float, float]]:

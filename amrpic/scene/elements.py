@@ -247,7 +247,8 @@ class CavityElement(OscillatingElement):
     @model_validator(mode="after")
     def _oscillates(self) -> Self:
         if self.frequency == 0:
-            self.refuse("frequency", "is missing", "add it; a cavity's radius follows from it")
+            remedy = "add it; a cavity's radius follows from it"
+            raise complaint("is missing", remedy, path="frequency", found="nothing")
         return self
 
 

@@ -73,11 +73,11 @@ class Section(BaseModel, metaclass=_Sentences):
         settings = {name: getattr(self, name) for name in self.model_fields_set}
         return type(self)(**{**settings, **changes})
 
-    def refuse(self, path: str, what: str, remedy: str) -> NoReturn:
+    def refuse(self, path: str, problem: str, remedy: str) -> NoReturn:
         """Raise the validation error of the value at a path: what is wrong with it, and what to do about it."""
         value = attrgetter(path)(self)
-        shown = "nothing" if value is None else list(value) if isinstance(value, tuple) else value
-        raise complaint(what, remedy, path=path, found=shown)
+        text = "nothing" if value is None else list(value) if isinstance(value, tuple) else value
+        raise complaint(problem, remedy, path=path, found=text)
 
 
 def refuse_negative(path: str, value: float, unit: str) -> None:

@@ -12,8 +12,8 @@ from mpi4py import MPI
 from ..errors import InputError
 from ..lattice.convert import Converted
 from ..parallel import from_rank_0
-from ..scene.lattice import LatticeSection
-from ..view.lattice import drawn
+from ..scene.lattice_file import LatticeSection
+from ..view.lattice_plots import drawn
 from .arguments import Commands, command
 from .text_table import columns
 

@@ -14,7 +14,7 @@ from ..errors import InputError
 from ..mesh.directions import axes
 from .bunches import Bunch, DescribedBunch
 from .complaints import complaint
-from .species import Species
+from .species_of_bunches import Species
 from .units import Angle, Length3
 
 ParticleFile = Annotated[str, Field(description="The file; a relative path starts at the scene file.")]

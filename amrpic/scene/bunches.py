@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from ..particles.phase_space import PhasePlane
-from ..particles.sampling import BITS, Sampling
+from ..particles.uniform_numbers import BITS, Sampling
 from .complaints import complaint
 from .real_particle import RealParticle
 from .section import Section, refuse_negative

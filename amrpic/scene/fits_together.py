@@ -7,7 +7,7 @@ import math
 from ..mesh.domain import AXES, FACES
 from .bunches import DescribedBunch
 from .complaints import close_match, complaint
-from .domain import LARGEST_INDEX
+from .domain_section import LARGEST_INDEX
 from .elements import ConstantFocusingElement
 from .obstacles import aperture_names, repeated_names
 from .parts import SceneParts

@@ -11,7 +11,7 @@ from ..particles.species import LARGEST_MOMENTUM, SPECIES
 from ..units import SPEED_OF_LIGHT
 from .complaints import complaint
 from .section import Section
-from .species import Species
+from .species_of_bunches import Species
 from .units import Energy, Momentum3, Velocity3
 
 

@@ -112,11 +112,11 @@ DENSITIES = {
 
 @pytest.mark.parametrize(("density", "axis"), [("positive", "z"), ("negative", "x"), ("both", "z"), ("none", "x")])
 def test_every_dump_can_be_drawn_and_no_label_is_clipped(comm, tmp_path, density, axis, monkeypatch):
-    figures = []
+    saved = []
     save = figures.save
 
     def watched(figure, path):
-        figures.append(figure)
+        saved.append(figure)
         return save(figure, path)
 
     monkeypatch.setattr(figures, "save", watched)
@@ -132,7 +132,7 @@ def test_every_dump_can_be_drawn_and_no_label_is_clipped(comm, tmp_path, density
         "rho_z_level1",
     )
     assert [p.name for p in pictures] == [f"fields_00000003_{n}.png" for n in names]
-    for path, figure in zip(pictures, figures, strict=True):
+    for path, figure in zip(pictures, saved, strict=True):
         assert path.read_bytes().startswith(b"\x89PNG")
         box = figure.get_tightbbox(FigureCanvasAgg(figure).get_renderer())
         width, height = figure.get_size_inches()

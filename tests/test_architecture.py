@@ -383,3 +383,24 @@ def test_commands_start_without_what_only_pictures_and_statistics_need():
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()", done.stdout
+
+
+# Names of files that stand twice.
+TWO_METHODS = "the same part of two methods, of particles in cells and of material points"
+FILES_TWICE = {
+    "scene.py": TWO_METHODS,
+    "simulation.py": TWO_METHODS,
+    "state.py": TWO_METHODS,
+    "step.py": TWO_METHODS,
+    "units.py": "of the package, and of what people write in scenes",
+}
+
+
+def test_no_file_name_stands_twice():
+    folders: dict[str, list[str]] = {}
+    for path in python_files():
+        if path.name != "__init__.py":
+            folders.setdefault(path.name, []).append(path.parent.name)
+    twice = {name: where for name, where in folders.items() if len(where) > 1}
+    assert {name: where for name, where in twice.items() if name not in FILES_TWICE} == {}
+    assert FILES_TWICE.keys() <= twice.keys() and len(FILES_TWICE) <= 5

@@ -10,7 +10,7 @@ from pathlib import Path
 from mpi4py import MPI
 
 from ..parallel import from_rank_0
-from ..results.compare import Comparison, Difference, compare
+from ..results.comparison import Comparison, Difference, compare
 from ..units import quantity
 from .arguments import Commands, command
 from .text_table import columns

@@ -12,7 +12,7 @@ from mpi4py import MPI
 from ..errors import InputError
 from ..lattice.convert import Converted
 from ..parallel import from_rank_0
-from ..scene.lattice import LatticeSection
+from ..scene.lattice_file import LatticeSection
 from .arguments import Commands, command
 from .text_table import columns
 
@@ -55,7 +55,7 @@ def _lines(chosen: argparse.Namespace, lattice: LatticeSection) -> Iterator[str]
     counts = f"{len(of.elements)} elements, {len(of.apertures)} apertures, {len(of.screens)} screens"
     yield f"{of.reference.species.name or 'reference'} of p/q = {of.reference.rigidity:.6g} T m: {counts}"
     path = Path(chosen.output) / f"{Path(chosen.file).name.split('.')[0]}_lattice.png"
-    from ..view.lattice import drawn  # matplotlib takes long to import
+    from ..view.lattice_plots import drawn  # matplotlib takes long to import
 
     drawn(of).savefig(path, dpi=120)
     yield f"{path} shows it"

@@ -46,7 +46,7 @@ def check_scene(scene: AnyScene, ranks: int) -> None:
     """Raise SceneError if files of a scene are missing, or the machine cannot hold it."""
     if isinstance(scene, Scene):
         return limits.check_scene(scene, ranks)
-    from ..mpm.limits import check_scene as check_points
+    from ..mpm.room import check_scene as check_points
     from ..mpm.scene import Scene as PointsScene
 
     assert isinstance(scene, PointsScene)
@@ -69,7 +69,7 @@ def scene_of_method(method: str | None) -> tuple[type[AnyScene], str]:
 
 def preview_points(comm: MPI.Comm, scene: AnyScene) -> str:
     """Return the text of a preview of material points; pictures go into the folder of the scene's run. Collective."""
-    from ..mpm.preview import preview
+    from ..mpm.point_preview import preview
     from ..mpm.scene import Scene as PointsScene
 
     assert isinstance(scene, PointsScene)

@@ -77,14 +77,14 @@ def _draw_fields(chosen: argparse.Namespace, folder: Path | None) -> list[Path]:
         folder = folder or dump.path.parent
         pictures = draw(dump, folder, with_options(views, **_given(chosen)))
         if of_points(dump) and Path(chosen.path).is_dir() and not chosen.quantity:
-            from ..mpm.pictures import draw_forces  # no other run imports it
+            from ..mpm.point_pictures import draw_forces  # no other run imports it
 
             pictures += draw_forces(Path(chosen.path), folder)
     return pictures
 
 
 def _draw_particles(chosen: argparse.Namespace, folder: Path | None) -> list[Path]:
-    from ..view.phase_space import OVERVIEW, plot  # matplotlib takes long to import
+    from ..view.phase_space_plots import OVERVIEW, plot  # matplotlib takes long to import
 
     options = _given(chosen)
     group = options.pop("group", "all")
@@ -94,7 +94,7 @@ def _draw_particles(chosen: argparse.Namespace, folder: Path | None) -> list[Pat
 
 
 def _draw_losses(chosen: argparse.Namespace, folder: Path | None) -> list[Path]:
-    from ..view.loss_map import OVERVIEW, plot
+    from ..view.loss_plots import OVERVIEW, plot
 
     for name in _given(chosen):
         raise InputError(f"{name} has no effect on a map of losses; leave it out, or choose another kind of picture")

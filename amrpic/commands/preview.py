@@ -6,7 +6,6 @@ import argparse
 import itertools
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -150,55 +149,21 @@ def _levels(particles_per_cell: Field) -> list[str]:
     hierarchy = particles_per_cell.hierarchy
     rows: list[Sequence[object]] = [LEVELS]
     for level, numbers in enumerate(living(particles_per_cell)):
-        histogram = Histogram.of(hierarchy.comm, numbers[numbers > 0].astype(np.int64))
-        rows.append(
-            [
-                level,
-                len(hierarchy.boxes(level)),
-                hierarchy.cells(level),
-                hierarchy.width_text(level),
-                histogram.total,
-                f"{histogram.mean:.3g}",
-                histogram.median,
-                histogram.most,
-            ]
-        )
+        total, mean, median, most = statistics(hierarchy.comm, numbers[numbers > 0].astype(np.int64))
+        boxes, cells = len(hierarchy.boxes(level)), hierarchy.cells(level)
+        rows.append([level, boxes, cells, hierarchy.width_text(level), total, f"{mean:.3g}", median, most])
     return columns(rows)
 
 
-@dataclass(frozen=True)
-class Histogram:
-    """How often each number occurs, over all ranks."""
-
-    values: np.ndarray  # ascending
-    times: np.ndarray
-
-    @classmethod
-    def of(cls, comm: MPI.Comm, numbers: np.ndarray) -> Histogram:
-        """Return that of the whole numbers of all ranks. Collective."""
-        parts = comm.allgather(np.unique(numbers, return_counts=True))
-        values, place = np.unique(np.concatenate([part for part, _ in parts]), return_inverse=True)
-        return cls(
-            values, np.bincount(place, np.concatenate([times for _, times in parts]), len(values)).astype(np.int64)
-        )
-
-    @property
-    def total(self) -> int:
-        return int(self.values @ self.times)
-
-    @property
-    def mean(self) -> float:
-        return self.total / max(int(self.times.sum()), 1)
-
-    @property
-    def median(self) -> int:
-        """The lower one of two."""
-        below = np.cumsum(self.times)
-        return int(self.values[np.searchsorted(below, (below[-1] + 1) // 2)]) if len(below) else 0
-
-    @property
-    def most(self) -> int:
-        return int(self.values[-1]) if len(self.values) else 0
+def statistics(comm: MPI.Comm, numbers: np.ndarray) -> tuple[int, float, int, int]:
+    """Return sum, mean, lower median and largest of the whole numbers of all ranks, zeros of none. Collective."""
+    parts = comm.allgather(np.unique(numbers, return_counts=True))
+    values, place = np.unique(np.concatenate([part for part, _ in parts]), return_inverse=True)
+    if len(values) == 0:
+        return 0, 0.0, 0, 0
+    below = np.cumsum(np.bincount(place, np.concatenate([times for _, times in parts])).astype(np.int64))
+    total = int(values @ np.diff(below, prepend=0))
+    return total, total / below[-1], int(values[np.searchsorted(below, (below[-1] + 1) // 2)]), int(values[-1])
 
 
 def _bunches(comm: MPI.Comm, scene: Scene, particles: Sequence[Particles], hierarchy: Hierarchy) -> list[str]:

@@ -21,12 +21,12 @@ def add(commands: Commands) -> None:
 
 
 def _report(chosen: argparse.Namespace) -> int:
-    from ..results import report  # matplotlib takes long to import
+    from ..results import report_page  # matplotlib takes long to import
 
     folder = Path(chosen.run)
     if not folder.is_dir():
         raise InputError(f"{folder} is no folder; give that of a run, such as runs/drift")
-    path = from_rank_0(MPI.COMM_WORLD, lambda: report.write(folder))
+    path = from_rank_0(MPI.COMM_WORLD, lambda: report_page.write(folder))
     if MPI.COMM_WORLD.rank == 0:
         print(path)
     return 0

@@ -8,7 +8,7 @@ from pathlib import Path
 from mpi4py import MPI
 
 from ..drivers.evaluate import assignments
-from ..drivers.scan import PICTURE, SHOWN, TABLE, Row, combinations, drawn, scan, values_of
+from ..drivers.scans import PICTURE, SHOWN, TABLE, Row, combinations, drawn, scan, values_of
 from ..errors import InputError
 from ..scene.any_scene import read_data
 from .arguments import Commands, command, count

@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 
 from ..errors import OutputError
-from ..scene.schema import scene_reference, scene_schema
+from ..scene.json_schema import scene_reference, scene_schema
 from .arguments import Commands, command
 from .methods import MPM, scene_of_method
 

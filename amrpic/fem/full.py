@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import _native
-from .mesh import Mesh
+from .hexahedra import Mesh
 
 WITHIN, AROUND = 0.05, 0.1  # volumes in a full element, or those about it, add up to the space there so nearly
 WALLS = ((False, False),) * 3  # no face of the mesh is free

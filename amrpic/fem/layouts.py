@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from .. import _native
 from ..errors import InputError
 from ..parallel import raise_together, together
-from .mesh import Mesh
+from .hexahedra import Mesh
 from .points import Points, Weights, reals, require_weights
 
 STREAM = 26  # of random numbers, apart from those of particles

@@ -12,7 +12,7 @@ from .. import _native
 from ..errors import InputError
 from ..parallel import together
 from .full import WALLS, full_elements
-from .mesh import Mesh
+from .hexahedra import Mesh
 
 Weights = Literal["moments", "volume"]
 COMPONENTS = (1, 3)

@@ -2,6 +2,7 @@
 
 from .functionals import Basis, Functional
 from .neighbours import Neighbours, cells, cells_around, leaves_around, nearby
+from .point_surface import Surface, surface
 from .potential import PointPotential, poisson
 from .samples import (
     Along,
@@ -18,7 +19,6 @@ from .samples import (
 from .shapes import Shapes, box_faces, boxes, edges, polygons, tetrahedra, triangles
 from .spaces import CurlFree, DivergenceFree, Harmonic, Scalar, Space, Vector
 from .stencils import Quality, Stencils, stencils
-from .surface import Surface, surface
 from .targets import (
     COEFFICIENTS,
     CURL,

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from .. import _native
 from ..errors import InputError
-from .checks import finite, points
+from .inputs import finite, points
 from .spaces import Scalar
 
 SEARCHED_TOGETHER = 256  # targets, whose neighbours are Python's lists for a while

@@ -13,7 +13,7 @@ from .. import _native
 from ..errors import InputError, SolverError
 from ..parallel import Communicator, own, share, together
 from ..units import VACUUM_PERMITTIVITY
-from .checks import finite, points
+from .inputs import finite, points
 from .neighbours import nearby
 from .samples import Points
 from .spaces import Scalar

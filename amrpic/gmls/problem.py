@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 
 from .. import _native
 from ..errors import InputError
-from .checks import finite
 from .functionals import Basis, Functional, Native, stacked
+from .inputs import finite
 from .neighbours import Neighbours
 from .samples import Components, Samples
 from .spaces import Space

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import InputError
-from .checks import finite, points
 from .functionals import Basis, Functional
+from .inputs import finite, points
 from .shapes import Shapes
 
 

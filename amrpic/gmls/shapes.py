@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import InputError
-from .checks import finite
 from .functionals import Basis, Functional
+from .inputs import finite
 
 
 @dataclass(frozen=True, eq=False)

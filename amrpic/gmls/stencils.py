@@ -11,7 +11,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from ..errors import InputError, SolverError
-from .checks import finite, points
+from .inputs import finite, points
 from .neighbours import GROWTH, Neighbours
 from .problem import DEPENDENT, NO_SIGN, UNDETERMINED, Collected, assembled, merged
 from .samples import Samples

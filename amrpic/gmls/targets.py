@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import InputError
-from .checks import finite
 from .functionals import Basis, Functional
+from .inputs import finite
 from .shapes import Shapes
 from .spaces import exponents
 

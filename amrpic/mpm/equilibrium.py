@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 
 from ..errors import InputError
 from ..fem import solve
+from ..fem.conjugate_gradients import Coarse, Kept, Preconditioner
 from ..fem.points import checked_vector, held_of, mask_of
-from ..fem.solve import Coarse, Kept, Preconditioner
 from ..parallel import global_norm, global_sum, together
 from .solid import Form, Response, Solid
 

@@ -16,8 +16,8 @@ from ..stages.diagnostics import peak_memory
 from ..units import Column
 from ..view.views import OF_POINTS
 from .means import element_means, point_values
-from .measure import STAGES, loose_weights, quantities
-from .restart import snapshot
+from .rows import STAGES, loose_weights, quantities
+from .saved_state import snapshot
 from .scene import Scene
 from .state import LoadState, Plan
 
@@ -95,6 +95,6 @@ class PointRecorder(Recorder[LoadState]):
         """Draw forces over travel."""
         with together(self._comm, OutputError):
             if self._comm.rank == 0 and self._series is not None:
-                from .pictures import draw_forces  # matplotlib takes long to import, and no other rank needs it
+                from .point_pictures import draw_forces  # matplotlib takes long to import, and no other rank needs it
 
                 draw_forces(self._scene.directory, self._scene.directory)

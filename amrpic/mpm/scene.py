@@ -11,13 +11,13 @@ import numpy as np
 from pydantic import BeforeValidator, Field, WithJsonSchema, model_validator
 
 from ..errors import InputError
+from ..fem.conjugate_gradients import Coarse
+from ..fem.hexahedra import DEGREES
 from ..fem.layouts import MOST_PER_AXIS
-from ..fem.mesh import DEGREES
 from ..fem.points import Weights
-from ..fem.solve import Coarse
 from ..scene.any_scene import AnyScene
 from ..scene.complaints import complaint, complaint_of
-from ..scene.domain import CuboidSection
+from ..scene.domain_section import CuboidSection
 from ..scene.output import Files
 from ..scene.parts import SceneParts
 from ..scene.section import Section

@@ -12,9 +12,9 @@ from ..io.checkpoint import Snapshot
 from ..parallel import world_by_default
 from ..run.life import Run
 from ..run.log import Log
-from .limits import require_room
 from .point_recorder import PointRecorder
-from .restart import load, snapshot
+from .room import require_room
+from .saved_state import load, snapshot
 from .scene import Scene
 from .state import LoadState, Plan
 from .step import advance, begin

@@ -8,7 +8,7 @@ from .conditions import body_force, even_motion, held_by
 from .damage import DamageReport, Settled, settle
 from .loads import Loads
 from .material_points import Columns, PlacedPoints, migrate, placed, require_inside
-from .measure import at_rest, measure
+from .rows import at_rest, measure
 from .sample import mesh_of, sample
 from .state import LoadState, Plan
 

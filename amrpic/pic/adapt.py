@@ -14,7 +14,7 @@ from ..stages.tag import Tags, living, tagged
 from .limits import require_room
 from .memory import Share, base_boxes
 from .meshed import MeshedParticles
-from .quantities import Quantities
+from .rule_quantities import Quantities
 from .setup import Setup
 from .solution import Solution
 from .state import State

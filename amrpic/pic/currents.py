@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from ..scene.electrodes import Electrode
 from ..units import Column
-from .electrodes import collected
+from .driven_electrodes import collected
 from .state import State
 
 

@@ -13,7 +13,7 @@ from ..scene.scene import Scene
 from ..shapes import Mesh, Shape
 from ..shapes.shape import Combination, Placed
 from ..units import quantity
-from .electrodes import make_electrodes
+from .driven_electrodes import make_electrodes
 
 
 def describe_scene(scene: Scene) -> list[str]:

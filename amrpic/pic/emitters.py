@@ -22,8 +22,8 @@ from ..mesh.columns import Columns
 from ..mesh.spot_on_wall import SpotOnWall
 from ..parallel import call_together, from_rank_0, share
 from ..particles.particles import Particles
-from ..particles.sampling import draw
 from ..particles.species import SpeciesTable
+from ..particles.uniform_numbers import draw
 from ..scene.any_source import AnySource
 from ..scene.injection import FunctionSource
 from ..scene.scene import Scene

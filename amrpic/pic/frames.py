@@ -15,7 +15,7 @@ from ..particles.frame import LABORATORY
 from ..particles.motion_of_charge import charges
 from ..particles.particles import Particles
 from .image_forces import frames_with_images
-from .images import mirrored
+from .image_walls import mirrored
 from .setup import Setup
 from .state import State
 

@@ -45,11 +45,11 @@ def make_bunches(comm: MPI.Comm, scene: Scene) -> list[Particles]:
     runs: list[tuple[int, Species]] = []
     for number, bunch in enumerate(scene.bunches):
         with together(comm, InputError):
-            made = [_as_asked(one, bunch) for one in _bunch(comm, scene, bunch, first_id)]
-            _require_momenta(made, f"bunches.{number}" + (f" ({bunch.source})" if bunch.source else ""))
-        parts += made
-        runs.append((first_id, made[0].species.kinds[0]))
-        first_id += comm.allreduce(sum(map(len, made)))
+            copies = [_placed(copy, bunch) for copy in _bunch(comm, scene, bunch, first_id)]
+            _require_momenta(copies, f"bunches.{number}" + (f" ({bunch.source})" if bunch.source else ""))
+        parts += copies
+        runs.append((first_id, copies[0].species.kinds[0]))
+        first_id += comm.allreduce(sum(map(len, copies)))
     runs = runs or ([] if scene.sources else [(0, NO_SPECIES)])
     table = with_sources(runs, scene)
     return [replace(part, species=table) for part in parts]
@@ -61,46 +61,46 @@ def start_of(comm: MPI.Comm, scene: Scene) -> tuple[float, list[str]]:
     Collective; InputError on all ranks if files of bunches are of several times and the scene does not choose one.
     """
     times = from_rank_0(comm, lambda: _times_of_files(scene), InputError)
-    given = scene.schedule.start
+    chosen = scene.schedule.start
     first, at = times[0] if times else ("", 0.0)
-    start = at if given is None else given
-    others = [(file, time) for file, time in times if not math.isclose(time, start, rel_tol=SAME_TIME)]
-    if given is None and others:
+    start = at if chosen is None else chosen
+    differing = [(file, time) for file, time in times if not math.isclose(time, start, rel_tol=SAME_TIME)]
+    if chosen is None and differing:
         raise InputError(
-            f"{first} is of the time {at:g} s, {others[0][0]} of {others[0][1]:g} s; set schedule.start to the time of the "
-            "run, or move the particles of one of them to the time of the other"
+            f"{first} is of the time {at:g} s, {differing[0][0]} of {differing[0][1]:g} s; set schedule.start to the time of "
+            "the run, or move the particles of one of them to the time of the other"
         )
-    if given is None:
+    if chosen is None:
         return start, [f"schedule.start: {start:.6g} s, the time of {first}"] if start else []
-    said = ", ".join(f"{time:.6g} s of {file}" for file, time in others)
-    return start, [f"schedule.start: {start:.6g} s, in place of {said}"] if others else []
+    times_of_files = ", ".join(f"{time:.6g} s of {file}" for file, time in differing)
+    return start, [f"schedule.start: {start:.6g} s, in place of {times_of_files}"] if differing else []
 
 
 def _times_of_files(scene: Scene) -> list[tuple[str, float]]:
     """Return the openPMD files of bunches that know their time, and this in s."""
-    found = []
+    dated = []
     for bunch in scene.bunches:
         if isinstance(bunch, OpenPMDBunch):
             _, time = openpmd_reader.when(bunch.file, bunch.iteration, bunch.group)
-            found += [] if time is None else [(bunch.file, time)]
-    return found
+            dated += [] if time is None else [(bunch.file, time)]
+    return dated
 
 
-def _as_asked(made: Particles, bunch: Bunch) -> Particles:
+def _placed(particles: Particles, bunch: Bunch) -> Particles:
     """Return the particles of a bunch turned and moved as it asks for, and without weight if they are test particles."""
     if not bunch.self_field:
-        made = made.with_weight(np.broadcast_to(0.0, len(made)))
+        particles = particles.with_weight(np.broadcast_to(0.0, len(particles)))
     if not isinstance(bunch, MovedBunch):
-        return made
-    turned, position, momentum = bunch.axes, made.position, made.momentum
+        return particles
+    turned, position, momentum = bunch.axes, particles.position, particles.momentum
     if (turned != np.eye(3)).any():
         position, momentum = position @ turned, momentum @ turned
-    return made.replace(position + bunch.shift if any(bunch.shift) else position, momentum)
+    return particles.replace(position + bunch.shift if any(bunch.shift) else position, momentum)
 
 
-def _require_momenta(made: list[Particles], name: str) -> None:
+def _require_momenta(bunches: list[Particles], name: str) -> None:
     """Raise InputError if momenta of this rank's particles are too large to be true, and for the sums that follow."""
-    for bunch in made:
+    for bunch in bunches:
         largest = np.abs(bunch.momentum).max(initial=0.0)
         if largest > LARGEST_MOMENTUM * SPEED_OF_LIGHT * bunch.species.masses.min():
             raise InputError(
@@ -189,23 +189,23 @@ def outside(comm: MPI.Comm, bunches: Sequence[Particles], domain: Domain) -> lis
     ]
     of_all = comm.allreduce(np.array(counts, dtype=np.int64).reshape(-1, 2))
     worst = int(np.argmax(2 * of_all[:, 1] - of_all[:, 0]))
-    made, outside = of_all[worst].tolist()
-    if 2 * outside > made and of_all[:, 1].sum() < of_all[:, 0].sum():
+    total, outside = of_all[worst].tolist()
+    if 2 * outside > total and of_all[:, 1].sum() < of_all[:, 0].sum():
         raise InputError(
-            f"{outside} of {made} particles of bunch {worst} of {len(bunches) - 1} lie outside the domain; "
+            f"{outside} of {total} particles of bunch {worst} of {len(bunches) - 1} lie outside the domain; "
             "move the bunch (one from a file by its shift), make it smaller, or enlarge the domain"
         )
     return [
-        f"{outside} of {made} particles of bunch {number} of {len(bunches) - 1} lie outside the domain at the start: lost"
-        for number, (made, outside) in enumerate(of_all.tolist())
-        if 0 < outside < made
+        f"{outside} of {total} particles of bunch {number} of {len(bunches) - 1} lie outside the domain at the start: lost"
+        for number, (total, outside) in enumerate(of_all.tolist())
+        if 0 < outside < total
     ]
 
 
-def require_some_inside(comm: MPI.Comm, inside: Particles, made: int) -> None:
+def require_some_inside(comm: MPI.Comm, inside: Particles, total: int) -> None:
     """Raise InputError on all ranks if none of the particles that were made is inside the domain. Collective."""
-    if made > 0 and inside.global_count(comm) == 0:
+    if total > 0 and inside.global_count(comm) == 0:
         raise InputError(
-            f"all {made} particles of the scene lie outside the domain; move the bunches (those from files by "
+            f"all {total} particles of the scene lie outside the domain; move the bunches (those from files by "
             "their shift) or enlarge it"
         )

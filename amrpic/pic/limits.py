@@ -13,9 +13,9 @@ from ..external import ExternalFields
 from ..mesh.boxes import Array, cells_of
 from ..parallel import global_max, global_sum, node_of, raise_together
 from ..run.machine import available_memory, resident
-from ..scene.domain import LARGEST_INDEX
+from ..scene.domain_section import LARGEST_INDEX
 from ..scene.scene import Scene
-from .electrodes import make_electrodes
+from .driven_electrodes import make_electrodes
 from .memory import Share, base_boxes, rank_memory, run_memory
 
 

@@ -25,7 +25,7 @@ from ..particles.frame import Frame
 from ..particles.particles import Particles
 from ..particles.species import SpeciesTable
 from ..scene.differences import differences, require_same, setting_text
-from ..scene.domain import DomainSection
+from ..scene.domain_section import DomainSection
 from ..scene.scene import Scene
 from ..scene.solver_options import SolverOptions
 from ..stages.gather import compensate
@@ -35,7 +35,7 @@ from ..stages.regrid import carry_over
 from .adapt import follow, make_base
 from .course import Course
 from .field_functions import FieldFunction
-from .images import mirrored
+from .image_walls import mirrored
 from .leapfrog import gather_and_push
 from .limits import require_room
 from .meshed import MeshedParticles, deposit

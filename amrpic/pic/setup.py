@@ -25,7 +25,7 @@ from ..space_charge.drive import NO_ELECTRODES, Drive
 from ..space_charge.solvers import Solvers
 from ..stages.diagnostics import moments
 from ..stages.encounters import native_aperture, native_screen
-from .electrodes import collected, electrodes_of
+from .driven_electrodes import collected, electrodes_of
 from .emitters import Emitter, emitters_of
 from .emitting_walls import EmittingWalls
 from .field_functions import FieldFunction, FieldFunctions

@@ -216,10 +216,10 @@ class Recorder(ABC, Generic[StateT]):
         if "report" in self._wanted:
             with together(self._comm, OutputError):
                 if self._comm.rank == 0:
-                    from ..results import report  # matplotlib takes long to import, and no other rank needs it
+                    from ..results import report_page  # matplotlib takes long to import, and no other rank needs it
 
                     try:
-                        report.write(self._scene.directory)
+                        report_page.write(self._scene.directory)
                     except InputError as error:  # as of a series without rows, after a restart from the last step
                         self._log.warn(str(error))
 

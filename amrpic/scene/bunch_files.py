@@ -14,7 +14,7 @@ from ..errors import InputError
 from ..mesh.directions import axes
 from .bunches import Bunch, DescribedBunch
 from .complaints import complaint
-from .species import Species
+from .species_of_bunches import Species
 from .units import Angle, Length3
 
 ParticleFile = Annotated[str, Field(description="The file; a relative path starts at the scene file.")]
@@ -38,7 +38,7 @@ class MovedBunch(Bunch):
     @model_validator(mode="after")
     def _axis_has_length(self) -> Self:
         if not any(self.axis):
-            raise complaint("has no length", "give a direction", path="axis", found=list(self.axis))
+            self.refuse("axis", "has no length", "give a direction")
         return self
 
     @property
@@ -115,12 +115,7 @@ class ArrayBunch(MovedBunch, DescribedBunch):
     @model_validator(mode="after")
     def _source(self) -> Self:
         if self.file is None and self.position is None and self.digest is None:
-            raise complaint(
-                "is missing",
-                "give arrays from Python, or file = an .npz that holds them",
-                path="position",
-                found="nothing",
-            )
+            self.refuse("position", "is missing", "give arrays from Python, or file = an .npz that holds them")
         without_charge = self.charge is None and self.particle_charge is None
         if self.position is not None and self.self_field and (self.weight is None) == without_charge:
             raise complaint(

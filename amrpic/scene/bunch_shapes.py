@@ -43,7 +43,7 @@ class TwissPlane(Section):
                 "must be given, or else sigma", "keep one of the two", path="beta", found=self.beta or "neither"
             )
         if self.sigma == 0 and self.emittance > 0:
-            raise complaint("is zero although the emittance is not", "give a size", path="sigma", found=0.0)
+            self.refuse("sigma", "is zero although the emittance is not", "give a size")
         return self
 
     def plane(self, mass: float, momentum: float) -> PhasePlane:
@@ -82,9 +82,7 @@ class SizedBunch(Train):
     @model_validator(mode="after")
     def _one_size(self) -> Self:
         if self.sigma is None and self.twiss is None:
-            raise complaint(
-                "is missing", 'add the rms size, such as sigma = "2 mm", or twiss', path="sigma", found="nothing"
-            )
+            self.refuse("sigma", "is missing", 'add the rms size, such as sigma = "2 mm", or twiss')
         for axis, sigma in enumerate(self.sigma or ()):
             refuse_negative(f"sigma.{axis}", sigma, "m")
         if self.twiss is not None:
@@ -93,14 +91,9 @@ class SizedBunch(Train):
 
     def _check_twiss(self, twiss: Twiss) -> None:
         if self.sigma is not None:
-            raise complaint("is given as well as twiss", "keep one of the two", path="sigma", found=list(self.sigma))
+            self.refuse("sigma", "is given as well as twiss", "keep one of the two")
         if any(self.momentum_spread):
-            raise complaint(
-                "is given as well as twiss, whose emittances give it",
-                "keep one of the two",
-                path="momentum_spread",
-                found=list(self.momentum_spread),
-            )
+            self.refuse("momentum_spread", "is given as well as twiss, whose emittances give it", "keep one of the two")
         for axis in "xyz":
             if getattr(twiss, axis).beta is not None and not any(self.mean_momentum):
                 raise complaint(

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from ..particles.phase_space import PhasePlane
-from ..particles.sampling import BITS, Sampling
+from ..particles.uniform_numbers import BITS, Sampling
 from .complaints import complaint
 from .real_particle import RealParticle
 from .section import Section, refuse_negative
@@ -64,9 +64,7 @@ class DescribedBunch(RealParticle, Bunch):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if self.charge is not None and self.particle_charge is not None:
-            raise complaint(
-                "is given as well as charge", "keep one of the two", path="particle_charge", found=self.particle_charge
-            )
+            self.refuse("particle_charge", "is given as well as charge", "keep one of the two")
         key = "charge" if self.particle_charge is None else "particle_charge"
         value = getattr(self, key)
         if value is not None and value * self.species.charge < 0:
@@ -121,24 +119,15 @@ class Train(DescribedBunch):
         for axis, spread in enumerate(self.momentum_spread):
             refuse_negative(f"momentum_spread.{axis}", spread, "kg m/s")
         if self.sampling == "sobol" and self.particles > 2**BITS:
-            raise complaint(
-                f"are more than the {2**BITS} different Sobol numbers",
-                'use fewer, or sampling = "halton"',
-                path="particles",
-                found=self.particles,
+            self.refuse(
+                "particles", f"are more than the {2**BITS} different Sobol numbers", 'use fewer, or sampling = "halton"'
             )
         if self.self_field and self.charge is None and self.particle_charge is None:
-            raise complaint(
-                "is missing", 'add the charge of one bunch, such as charge = "10 pC"', path="charge", found="nothing"
-            )
+            self.refuse("charge", "is missing", 'add the charge of one bunch, such as charge = "10 pC"')
         if self.count > 1 and self.spacing is None:
-            raise complaint(
-                "is missing for a train", "add the step from bunch to bunch", path="spacing", found="nothing"
-            )
+            self.refuse("spacing", "is missing for a train", "add the step from bunch to bunch")
         if self.centres is not None and (self.count > 1 or self.spacing is not None):
-            raise complaint(
-                "is given as well as count and spacing", "keep one of the two", path="centres", found=self.centres
-            )
+            self.refuse("centres", "is given as well as count and spacing", "keep one of the two")
         return self
 
     @property
@@ -187,7 +176,7 @@ class LatticeBunch(DescribedBunch):
         for axis, number in enumerate(self.per_axis):
             refuse_negative(f"per_axis.{axis}", number, "particles")
         if self.self_field and self.charge is None and self.particle_charge is None:
-            raise complaint("is missing", "add the charge of all particles together", path="charge", found="nothing")
+            self.refuse("charge", "is missing", "add the charge of all particles together")
         return self
 
     @property

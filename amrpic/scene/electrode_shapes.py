@@ -205,9 +205,7 @@ class InFile(Body):
 
     def _check(self) -> None:
         if self.unit not in UNITS["length"]:
-            raise complaint(
-                "is no unit of length", f"use one of {', '.join(UNITS['length'])}", path="unit", found=self.unit
-            )
+            self.refuse("unit", "is no unit of length", f"use one of {', '.join(UNITS['length'])}")
 
 
 class RevolvedShape(InFile):

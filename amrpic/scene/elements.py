@@ -98,7 +98,7 @@ class ConstantFocusingElement(PossiblyEverywhere):
         if (self.gradient is None) == (self.wavenumber is None):
             state = "is missing" if self.gradient is None else "is given as well as wavenumber"
             remedy = "give gradient or wavenumber" if self.gradient is None else "keep one of the two"
-            raise complaint(state, remedy, path="gradient", found=self.gradient or "nothing")
+            self.refuse("gradient", state, remedy)
         return self
 
     def gradient_for(self, species: Species, momentum: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -133,15 +133,12 @@ class FringedElement(Element):
                         "means nothing to hard edges", 'set fringe = "enge", or leave it out', path=key, found=value
                     )
         elif self.gap is None:
-            raise complaint(
-                "is missing", "add the full aperture that the fringe scales with", path="gap", found="nothing"
-            )
+            self.refuse("gap", "is missing", "add the full aperture that the fringe scales with")
         if math.isinf(enge_reach(self.coefficients)):
-            raise complaint(
+            self.refuse(
+                "enge",
                 f"does not let the field fall from 1 to 0 within {LARGEST_REACH:g} gaps",
                 "give a polynomial that grows from below -60 to above 60",
-                path="enge",
-                found=self.enge,
             )
         return self
 
@@ -213,11 +210,9 @@ class SolenoidElement(Element):
     @model_validator(mode="after")
     def _coil(self) -> Self:
         if self.fringe == "sheet" and self.radius is None:
-            raise complaint("is missing", "add the radius of the coil", path="radius", found="nothing")
+            self.refuse("radius", "is missing", "add the radius of the coil")
         if self.fringe == "hard" and self.radius is not None:
-            raise complaint(
-                "means nothing to hard edges", 'set fringe = "sheet", or leave it out', path="radius", found=self.radius
-            )
+            self.refuse("radius", "means nothing to hard edges", 'set fringe = "sheet", or leave it out')
         return self
 
 
@@ -230,7 +225,7 @@ class OscillatingElement(Element):
     @model_validator(mode="after")
     def _phase_of_something(self) -> Self:
         if self.phase != 0 and self.frequency == 0:
-            raise complaint("means nothing without a frequency", "give one", path="phase", found=self.phase)
+            self.refuse("phase", "means nothing without a frequency", "give one")
         return self
 
 
@@ -252,9 +247,8 @@ class CavityElement(OscillatingElement):
     @model_validator(mode="after")
     def _oscillates(self) -> Self:
         if self.frequency == 0:
-            raise complaint(
-                "is missing", "add it; a cavity's radius follows from it", path="frequency", found="nothing"
-            )
+            remedy = "add it; a cavity's radius follows from it"
+            raise complaint("is missing", remedy, path="frequency", found="nothing")
         return self
 
 

@@ -7,7 +7,7 @@ import math
 from ..mesh.domain import AXES, FACES
 from .bunches import DescribedBunch
 from .complaints import close_match, complaint
-from .domain import LARGEST_INDEX
+from .domain_section import LARGEST_INDEX
 from .elements import ConstantFocusingElement
 from .obstacles import aperture_names, repeated_names
 from .parts import SceneParts
@@ -44,30 +44,26 @@ def check(scene: SceneParts) -> None:
 
 def _name(scene: SceneParts) -> None:
     if "/" in scene.name or scene.name in (".", ".."):
-        raise complaint(
-            "is a path", "give a plain name, and the folder as output.directory", path="name", found=scene.name
-        )
+        scene.refuse("name", "is a path", "give a plain name, and the folder as output.directory")
 
 
 def _cells(scene: SceneParts) -> None:
     cells, levels = scene.domain.cells, scene.refinement.levels
     blocks = MOST_BLOCKS * scene.refinement.blocking_factor
     if max(cells) * 2**levels > blocks and max(cells) <= blocks < LARGEST_INDEX:
-        raise complaint(
+        scene.refuse(
+            "refinement.levels",
             f"makes more than 2^20 blocks of {scene.refinement.blocking_factor} cells along {AXES[cells.index(max(cells))]}",
             f"use {int(math.log2(blocks / max(cells)))} levels at most, or fewer base cells",
-            path="refinement.levels",
-            found=levels,
         )
     for axis, number in enumerate(cells):
         width = (scene.domain.upper[axis] - scene.domain.lower[axis]) / number / 2**levels
         farthest = max(abs(scene.domain.lower[axis]), abs(scene.domain.upper[axis]))
         if width < FINEST * farthest:
-            raise complaint(
+            scene.refuse(
+                "refinement.levels",
                 f"makes cells of {width:.3g} m at {AXES[axis]} = {farthest:g} m, too fine for places of 64 bits",
                 "use fewer levels, or move the domain nearer to 0",
-                path="refinement.levels",
-                found=levels,
             )
         if number * 2**levels > LARGEST_INDEX:
             raise complaint(
@@ -77,11 +73,10 @@ def _cells(scene: SceneParts) -> None:
                 found=number,
             )
     if (rows := int(cells[0]) * int(cells[1]) * int(cells[2])) > LARGEST_ROW:
-        raise complaint(
+        scene.refuse(
+            "domain.cells",
             f"makes {rows} equations, more than the {LARGEST_ROW} that 64-bit row numbers count",
             "use fewer base cells",
-            path="domain.cells",
-            found=list(cells),
         )
 
 
@@ -141,30 +136,27 @@ def _places(scene: SceneParts) -> None:
 def _balance(scene: SceneParts) -> None:
     singular = scene.fixes_no_potential
     if scene.background == "neutralizing" and not singular:
-        raise complaint(
+        scene.refuse(
+            "background",
             "needs a domain whose faces are all periodic or neumann, no screening, and no electrode at a voltage",
             "change domain.boundary or solver.screening, or leave the background out",
-            path="background",
-            found=scene.background,
         )
     charges = [bunch.bunch_charge * bunch.copies for bunch in scene.bunches]
     scale = sum(abs(charge) for charge in charges)
     if singular and not scene.domain.slope and scene.background == "none" and abs(sum(charges)) > 1e-12 * scale:
-        raise complaint(
+        scene.refuse(
+            "background",
             f"has no solution: all faces are periodic or neumann, and the net charge is {sum(charges):g} C",
             'set background = "neutralizing", or charges that add up to zero',
-            path="background",
-            found=scene.background,
         )
 
 
 def _stretch(scene: SceneParts) -> None:
     if scene.motion.follows_fields and scene.solver.stretch != (1.0, 1.0, 1.0):
-        raise complaint(
+        scene.refuse(
+            "solver.stretch",
             "is for bunches at rest in the scene; the leapfrog finds that of a moving one by itself",
             "leave stretch out, and set motion.frame",
-            path="solver.stretch",
-            found=list(scene.solver.stretch),
         )
 
 
@@ -206,11 +198,10 @@ def _window(scene: SceneParts) -> None:
         return
     reference = scene.reference
     if reference is None or not any(reference.mean_momentum):
-        raise complaint(
+        scene.refuse(
+            "motion.window",
             "needs a reference particle that moves",
             "give motion.reference a momentum, or the first bunch one in the scene",
-            path="motion.window",
-            found=scene.motion.window,
         )
     axis = scene.axis_of_wall_left
     if axis is not None:
@@ -285,11 +276,10 @@ def _sources(scene: SceneParts) -> None:
                 found=source.face,
             )
         if kind == "dirichlet" and scene.solver.order != 2:
-            raise complaint(
+            scene.refuse(
+                "solver.order",
                 f"is {scene.solver.order}, and the field at walls that emit is known for 2 alone",
                 "set it to 2",
-                path="solver.order",
-                found=scene.solver.order,
             )
 
 

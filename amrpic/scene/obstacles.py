@@ -9,7 +9,6 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from .complaints import complaint
 from .section import Section
 from .units import Angle, Direction3, Length, Length3
 
@@ -24,12 +23,7 @@ class Obstacle(Section):
     @model_validator(mode="after")
     def _is_a_word(self) -> Self:
         if self.name and not re.fullmatch(r"[\w+-]+", self.name):
-            raise complaint(
-                "cannot stand in tables and names of files",
-                "use letters, digits, _, + and - alone",
-                path="name",
-                found=self.name,
-            )
+            self.refuse("name", "cannot stand in tables and names of files", "use letters, digits, _, + and - alone")
         return self
 
 
@@ -101,11 +95,9 @@ class Screen(Turned):
     def _one_place(self) -> Self:
         if (self.z is None) == (self.centre is None):
             state = "is missing" if self.z is None else "is given as well as centre"
-            raise complaint(state, "give z, or centre and direction", path="z", found=self.z)
+            self.refuse("z", state, "give z, or centre and direction")
         if self.z is not None and not (self.is_along_z and self.reach is None):
-            raise complaint(
-                "is that of a plane across z", "give centre in place of z for others", path="z", found=self.z
-            )
+            self.refuse("z", "is that of a plane across z", "give centre in place of z for others")
         return self
 
 

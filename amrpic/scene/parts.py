@@ -16,15 +16,15 @@ from .any_source import AnySource
 from .bunch_files import ArrayBunch, OpenPMDBunch
 from .bunch_shapes import GaussianBunch, HaloBunch, HollowBunch, KVBunch, ParabolicBunch, SphereBunch, WaterbagBunch
 from .bunches import DescribedBunch, LatticeBunch
-from .diagnostics import Diagnostics
-from .domain import DomainSection
+from .diagnostics_section import Diagnostics
+from .domain_section import DomainSection
 from .electrodes import ElectrodeSection
 from .elements import AnyElement
-from .lattice import LatticeSection
+from .lattice_file import LatticeSection
 from .motion import Motion, NoMotion, Reference
 from .obstacles import AnyAperture, Screen
 from .output import Output
-from .particles import ParticlesSection
+from .particles_section import ParticlesSection
 from .refinement import Refinement
 from .schedule import Schedule
 from .solver_options import SolverSection

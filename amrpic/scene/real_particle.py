@@ -11,7 +11,7 @@ from ..particles.species import LARGEST_MOMENTUM, SPECIES
 from ..units import SPEED_OF_LIGHT
 from .complaints import complaint
 from .section import Section
-from .species import Species
+from .species_of_bunches import Species
 from .units import Energy, Momentum3, Velocity3
 
 
@@ -44,15 +44,10 @@ class RealParticle(Section):
             reason = (
                 "has no length" if self.kinetic_energy is not None else "is that of a kinetic_energy, which is missing"
             )
-            raise complaint(reason, "leave it out, or complete it", path="direction", found=list(self.direction))
+            self.refuse("direction", reason, "leave it out, or complete it")
         speed = math.hypot(*(self.velocity or (0.0,)))
         if speed >= SPEED_OF_LIGHT:
-            raise complaint(
-                f"is {speed / SPEED_OF_LIGHT:.3g} c",
-                "stay below c, or give a momentum",
-                path="velocity",
-                found=self.velocity,
-            )
+            self.refuse("velocity", f"is {speed / SPEED_OF_LIGHT:.3g} c", "stay below c, or give a momentum")
         over_mc = math.hypot(*self.mean_momentum) / (self.species.mass * SPEED_OF_LIGHT)
         if over_mc > LARGEST_MOMENTUM:
             raise complaint(

@@ -62,12 +62,10 @@ class Refinement(Section):
         block, size = self.blocking_factor, self.max_grid_size
         if block & (block - 1):
             below = 2 ** (block.bit_length() - 1)
-            raise complaint("is not a power of two", f"use {below} or {2 * below}", path="blocking_factor", found=block)
+            self.refuse("blocking_factor", "is not a power of two", f"use {below} or {2 * below}")
         if size % block:
             near = f"{size // block * block} or {(size // block + 1) * block}" if size > block else f"{block}"
-            raise complaint(
-                f"is not a multiple of the blocking factor {block}", f"use {near}", path="max_grid_size", found=size
-            )
+            self.refuse("max_grid_size", f"is not a multiple of the blocking factor {block}", f"use {near}")
         return self
 
     @model_validator(mode="after")
@@ -94,11 +92,10 @@ class Refinement(Section):
     @model_validator(mode="after")
     def _something_to_outrun(self) -> Self:
         if self.regrid_outrun is not None and not self.follows:
-            raise complaint(
+            self.refuse(
+                "regrid_outrun",
                 "has no meaning for a mesh that never changes",
                 "leave it out, or choose a rule other than static, and levels of 1 or more",
-                path="regrid_outrun",
-                found=self.regrid_outrun,
             )
         return self
 

@@ -50,7 +50,7 @@ class Threshold(Rule):
         if self.absolute is None and self.relative is None:
             raise complaint("must be given, or else absolute", "add one of the two", path="relative", found="")
         if self.absolute is not None and self.relative is not None:
-            raise complaint("is given as well as absolute", "keep one of the two", path="relative", found=self.relative)
+            self.refuse("relative", "is given as well as absolute", "keep one of the two")
         if self.absolute is not None and self.relative_to == "level":
             raise complaint(
                 "has no meaning beside absolute", "leave it out, or give relative", path="relative_to", found="level"
@@ -149,7 +149,7 @@ class EmissionRule(Rule):
     def _one_depth(self) -> Self:
         if (self.depth is None) == (self.cells is None):
             wrong = "must be given, or else cells" if self.depth is None else "is given as well as cells"
-            raise complaint(wrong, "give one of the two", path="depth", found=self.depth or "nothing")
+            self.refuse("depth", wrong, "give one of the two")
         return self
 
     def depth_on(self, width: float) -> float:
@@ -212,7 +212,7 @@ class CallableRule(Rule):
                 found="",
             )
         if not callable(self.function):
-            raise complaint("is not a function", "give one", path="function", found=self.function)
+            self.refuse("function", "is not a function", "give one")
         for parameter in _parameters(self.function):
             if parameter.name not in ARGUMENTS and parameter.default is parameter.empty:
                 raise complaint(

@@ -14,7 +14,7 @@ from .. import html
 from ..particles.groups import NamedBunches
 from .electrode_shapes import anchor_files
 from .fits_together import check
-from .lattice import with_lattice
+from .lattice_file import with_lattice
 from .obstacles import out_of_reach
 from .parts import SceneParts
 from .section import Section

@@ -6,7 +6,6 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
-from .complaints import complaint
 from .section import Section
 from .units import Time
 
@@ -27,7 +26,7 @@ class Schedule(Section):
     @model_validator(mode="after")
     def _one_of_two(self) -> Self:
         if self.steps is not None and self.solves is not None:
-            raise complaint("is given as well as steps", "keep one of the two", path="solves", found=self.solves)
+            self.refuse("solves", "is given as well as steps", "keep one of the two")
         return self
 
     @property

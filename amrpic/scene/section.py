@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, ClassVar, Self, cast
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, Self, cast
 
 from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, ValidationError, model_validator
 from pydantic_core import CoreSchema
@@ -71,6 +72,12 @@ class Section(BaseModel, metaclass=_Sentences):
         """Return the same with other values of some keys. Raises SceneError as when it is made."""
         settings = {name: getattr(self, name) for name in self.model_fields_set}
         return type(self)(**{**settings, **changes})
+
+    def refuse(self, path: str, problem: str, remedy: str) -> NoReturn:
+        """Raise the validation error of the value at a path: what is wrong with it, and what to do about it."""
+        value = attrgetter(path)(self)
+        text = "nothing" if value is None else list(value) if isinstance(value, tuple) else value
+        raise complaint(problem, remedy, path=path, found=text)
 
 
 def refuse_negative(path: str, value: float, unit: str) -> None:

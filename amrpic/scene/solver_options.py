@@ -7,7 +7,7 @@ its binding. `native_values` says where the two differ.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal, NoReturn, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
@@ -164,28 +164,28 @@ class SolverOptions(Section):
     @model_validator(mode="after")
     def _goes_together(self) -> Self:
         if self.relaxation is not None and self.smoother == "chebyshev":
-            self._refuse("relaxation", "has no meaning for chebyshev, whose polynomial has no factor", "leave it out")
+            self.refuse("relaxation", "has no meaning for chebyshev, whose polynomial has no factor", "leave it out")
         if self.relaxation is not None and self.smoother == "jacobi" and self.relaxation > 1:
-            self._refuse("relaxation", "makes jacobi diverge", "give a number up to 1, best about 0.86")
+            self.refuse("relaxation", "makes jacobi diverge", "give a number up to 1, best about 0.86")
         if min(self.both_sweeps) < 0 or sum(self.both_sweeps) == 0:
             remedy = "give two numbers, before and after, at least one of them positive"
-            self._refuse("sweeps", "leaves nothing to smooth with", remedy)
+            self.refuse("sweeps", "leaves nothing to smooth with", remedy)
         if self.bottom == "direct" and self.bottom_preconditioner is not None:
             remedy = 'leave it out, or set bottom to "gmres"'
-            self._refuse("bottom_preconditioner", "has nothing to do in a direct solve", remedy)
+            self.refuse("bottom_preconditioner", "has nothing to do in a direct solve", remedy)
         aggregates = self.bottom_preconditioner is None or self.bottom_preconditioner.endswith("aggregation")
         if self.bottom == "multigrid" and not aggregates:
             remedy = "use smoothed-aggregation, plain-aggregation or brick-aggregation"
-            self._refuse("bottom_preconditioner", "is no multigrid, which is to stand alone", remedy)
+            self.refuse("bottom_preconditioner", "is no multigrid, which is to stand alone", remedy)
         if self.tolerance == "discretization" and self.krylov != "none":
             reason = 'does not know how much error is left, as tolerance "discretization" must know'
-            self._refuse("krylov", reason, 'use "none", or a number as tolerance')
+            self.refuse("krylov", reason, 'use "none", or a number as tolerance')
         for option in OF_COMPRESSED_ROWS if self.backend != "crs" else ():
             if getattr(self, option) != type(self).model_fields[option].default:
                 reason = "is a choice of the backend of compressed rows alone"
-                self._refuse(option, reason, 'leave it out, or set backend to "crs"')
+                self.refuse(option, reason, 'leave it out, or set backend to "crs"')
         if self.order == 4 and self.backend != "matrix-free":
-            self._refuse(
+            self.refuse(
                 "order", "is what the matrix-free backend has alone", 'set backend to "matrix-free", or order to 2'
             )
         for axis, factor in enumerate(self.stretch):
@@ -193,9 +193,6 @@ class SolverOptions(Section):
                 remedy = f"give a factor above 0, below {LARGEST_STRETCH:g}"
                 raise complaint("is no stretch", remedy, path=f"stretch.{axis}", found=factor)
         return self
-
-    def _refuse(self, option: str, reason: str, remedy: str) -> NoReturn:
-        raise complaint(reason, remedy, path=option, found=getattr(self, option))
 
     @property
     def both_sweeps(self) -> tuple[int, int]:

@@ -12,8 +12,8 @@ from pydantic import Field, model_validator
 from ..mesh.directions import axes
 from ..mesh.domain import FACES
 from ..particles.emission import fowler_nordheim, richardson
-from ..particles.sampling import Sampling
 from ..particles.species import SPECIES
+from ..particles.uniform_numbers import Sampling
 from ..units import BOLTZMANN, SPEED_OF_LIGHT
 from .bunch_files import GroupOfParticles, Iteration, ParticleFile
 from .complaints import complaint
@@ -21,7 +21,7 @@ from .emitted_momenta import MOST_OF_REST, AnyMomenta, BeamMomenta, ColdMomenta,
 from .obstacles import Obstacle
 from .pulses import AnyPulse, SteadyPulse
 from .section import Section
-from .species import Species
+from .species_of_bunches import Species
 from .spots import AnySpot, DiscSpot, RectangleSpot
 from .units import Angle, Charge, Current, CurrentDensity, Direction3, Energy, Length3, Temperature, Time
 

@@ -58,13 +58,12 @@ class ThermalBunch(Train):
         if (self.gradient is None) == (self.wavenumber is None):
             state, remedy = ("is missing", "give gradient or wavenumber") if self.gradient is None else (
                 "is given as well as wavenumber", "keep one of the two")  # fmt: skip
-            raise complaint(state, remedy, path="gradient", found=self.gradient or "nothing")
+            self.refuse("gradient", state, remedy)
         if self.wavenumber is not None and not any(self.mean_momentum):
-            raise complaint(
+            self.refuse(
+                "wavenumber",
                 "needs a mean momentum, to which it refers",
                 "give momentum or velocity, or gradient in place of wavenumber",
-                path="wavenumber",
-                found=self.wavenumber,
             )
         if self.species.charge == 0:
             raise complaint("has no charge, which the focusing acts on", "give another one", path="species", found=0.0)
@@ -94,11 +93,10 @@ class ThermalBunch(Train):
                 found=list(self.momentum or self.velocity or self.direction or ()),
             )
         if any(self.momentum_spread):
-            raise complaint(
+            self.refuse(
+                "momentum_spread",
                 "is given although the temperature gives it",
                 "leave it out, or give longitudinal_spread",
-                path="momentum_spread",
-                found=list(self.momentum_spread),
             )
 
     def _check_size(self) -> None:
@@ -106,11 +104,10 @@ class ThermalBunch(Train):
             raise complaint("needs a charge that depresses it", "give sigma or emittance", path="tune_depression")
         if self.sigma is not None and self._equilibrium[1] < 0:
             cold, _ = matched(self._focusing, self._self_force, emittance=0.0)
-            raise complaint(
+            self.refuse(
+                "sigma",
                 f"is less than {cold:.4g} m, the size of the cold beam of this charge and focusing",
                 "enlarge it, or focus more",
-                path="sigma",
-                found=self.sigma,
             )
 
     @property

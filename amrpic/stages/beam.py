@@ -15,8 +15,8 @@ from ..errors import ParticleError
 from ..parallel import share
 from ..particles.particles import Particles
 from ..particles.phase_space import PhaseSpace
-from ..particles.sampling import Sampling, draw
 from ..particles.species import Species, SpeciesTable
+from ..particles.uniform_numbers import Sampling, draw
 
 Vector = Sequence[float] | np.ndarray
 

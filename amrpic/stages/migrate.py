@@ -47,7 +47,7 @@ def migrate_without(
     gone: np.ndarray,
     servers: np.ndarray | None = None,
     evenly: bool = False,
-    meanwhile: Callable[[Particles, _native.Migration], None] = lambda here, migration: None,
+    meanwhile: Callable[[Particles, _native.Migration], None] = lambda arrived, migration: None,
     at_rest: bool = False,
 ) -> tuple[Particles, np.ndarray, int]:
     """Return the same as `migrate` without the particles at some indices, int64 (m,) ascending; of the lost ones the indices,
@@ -63,34 +63,34 @@ def migrate_without(
         servers = share_out(comm, *weights(particles, hierarchy))
     weight, most = particles.one_weight_and_most(comm)
     _require_few(most)
-    given = _passing(particles if weight is not None else particles.with_own_weights(), at_rest)
-    plan = _native.Migration(hierarchy.particle_mesh, servers, *given, gone, weight is None)
+    columns = _passing(particles if weight is not None else particles.with_own_weights(), at_rest)
+    plan = _native.Migration(hierarchy.particle_mesh, servers, *columns, gone, weight is None)
     most, uneven = _most_and_uneven(comm, plan)
     if evenly and uneven:
         servers = shared_out_by_work(particles, hierarchy)
-        plan = _native.Migration(hierarchy.particle_mesh, servers, *given, gone, weight is None)
+        plan = _native.Migration(hierarchy.particle_mesh, servers, *columns, gone, weight is None)
         most, _ = _most_and_uneven(comm, plan)
     _require_few(most)
-    here = Particles.allocate(plan.arriving, particles.species, weight, at_rest)
-    finite = plan.start(*_passing(here, at_rest))
+    arrived = Particles.allocate(plan.arriving, particles.species, weight, at_rest)
+    finite = plan.start(*_passing(arrived, at_rest))
     sorting = Sorting(hierarchy, plan.starts, plan.remote(hierarchy.native), servers)
-    here = Particles(*here.arrays, here.species, sorting)
+    arrived = Particles(*arrived.arrays, arrived.species, sorting)
     failure: Exception | None = None
     try:
-        meanwhile(here, plan)
+        meanwhile(arrived, plan)
     except Exception as caught:
         failure = caught
     finally:
-        plan.receive(*_passing(here, at_rest))
-    found = np.array([not finite, failure is not None, len(plan.lost) + len(gone)], dtype=np.int64)
-    bad, failed, missing = comm.allreduce(found).tolist()
+        plan.receive(*_passing(arrived, at_rest))
+    counts = np.array([not finite, failure is not None, len(plan.lost) + len(gone)], dtype=np.int64)
+    bad, failed, missing = comm.allreduce(counts).tolist()
     if bad:
         _refuse_not_finite(particles, comm)
     if failed:
         with together(comm, ParticleError):
             if failure is not None:
                 raise failure
-    return here, plan.lost, missing
+    return arrived, plan.lost, missing
 
 
 def _passing(particles: Particles, at_rest: bool) -> tuple[np.ndarray, np.ndarray | None, np.ndarray, np.ndarray]:
@@ -117,9 +117,9 @@ def arranged(parts: list[Particles], hierarchy: Hierarchy, servers: np.ndarray) 
     positions.append(position)
     ids.append(id)
     del position, id
-    here = np.broadcast_to(weight, len(places)) if weight is not None else _in_places(weights, places)
+    own = np.broadcast_to(weight, len(places)) if weight is not None else _in_places(weights, places)
     return Particles(
-        _in_places(positions, places), _in_places(momenta, places), here, _in_places(ids, places), species, sorting
+        _in_places(positions, places), _in_places(momenta, places), own, _in_places(ids, places), species, sorting
     )
 
 
@@ -129,9 +129,9 @@ def _in_places(arrays: list[np.ndarray], places: np.ndarray) -> np.ndarray:
     out, first = empty_columns(len(places)) if vectors else recycled(len(places), arrays[0].dtype.type), 0
     while arrays:
         values = arrays.pop(0)
-        there = places[first : first + len(values)]
+        targets = places[first : first + len(values)]
         for target, source in zip(out.T, values.T, strict=True) if vectors else [(out, values)]:
-            target[there] = source
+            target[targets] = source
         first += len(values)
     return out
 
@@ -144,10 +144,10 @@ def _require_few(most: int) -> None:
         )
 
 
-def _largest_and_sum(one: Any, other: Any, _: MPI.Datatype) -> None:
-    given, out = (np.frombuffer(values, dtype=np.int64).reshape(-1, 2) for values in (one, other))
-    out[:, 0] = np.maximum(given[:, 0], out[:, 0])
-    out[:, 1] += given[:, 1]
+def _largest_and_sum(first: Any, other: Any, _: MPI.Datatype) -> None:
+    pairs, out = (np.frombuffer(values, dtype=np.int64).reshape(-1, 2) for values in (first, other))
+    out[:, 0] = np.maximum(pairs[:, 0], out[:, 0])
+    out[:, 1] += pairs[:, 1]
 
 
 PAIR = MPI.INT64_T.Create_contiguous(2).Commit()  # so that no pair is cut in two
@@ -157,9 +157,9 @@ LARGEST_AND_SUM = MPI.Op.Create(_largest_and_sum, commute=True)
 def _most_and_uneven(comm: MPI.Comm, plan: _native.Migration) -> tuple[int, bool]:
     """Return the most particles that come to a rank, and whether one has too much of the work of all. Collective."""
     work = plan.arriving + BRICK_COST * plan.bricks
-    found = np.array([plan.arriving, 0, work, work], dtype=np.int64)
-    comm.Allreduce(MPI.IN_PLACE, [found, 2, PAIR], LARGEST_AND_SUM)
-    return int(found[0]), bool(found[2] > UNEVEN * found[3] / comm.size + FEW)
+    work_of_all = np.array([plan.arriving, 0, work, work], dtype=np.int64)
+    comm.Allreduce(MPI.IN_PLACE, [work_of_all, 2, PAIR], LARGEST_AND_SUM)
+    return int(work_of_all[0]), bool(work_of_all[2] > UNEVEN * work_of_all[3] / comm.size + FEW)
 
 
 def shared_out_by_work(particles: Particles, hierarchy: Hierarchy) -> np.ndarray:

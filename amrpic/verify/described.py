@@ -13,7 +13,7 @@ from ..particles.distributions import halo_core
 from ..scene.bunch_shapes import GaussianBunch, HaloBunch, KVBunch, SphereBunch
 from ..scene.bunches import Bunch, LatticeBunch, Train
 from ..scene.scene import Scene
-from .sources import EPS0, Array, ChargedSphere, Density, GaussianCharge, Vector
+from .known_charges import EPS0, Array, ChargedSphere, Density, GaussianCharge, Vector
 
 ExactField = Callable[[Array, Array, Array], Vector]
 

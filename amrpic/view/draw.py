@@ -28,7 +28,7 @@ def plot(path: Path, directory: Path | None = None, views: Sequence[View] = ()) 
 
 def figures(dump: Dump, views: Sequence[View] = OVERVIEW) -> Iterator[tuple[str, Figure]]:
     """Yield the pictures of a dump by the names of their views. Serial. Raises InputError for what is not in the dump."""
-    from .plot import figure
+    from .figures import figure
 
     spread = spread_of(dump, density_of(dump))
     for view in views:
@@ -55,7 +55,7 @@ def drawn(dump: Dump, folder: Path, views: Sequence[View] = OVERVIEW) -> Iterato
         path = folder / f"{dump.path.stem}_{view.name}.png"
         with together(dump.comm, OutputError):
             if dump.comm.rank == 0:
-                from .plot import figure, save  # matplotlib takes long to import, and no other rank needs it
+                from .figures import figure, save  # matplotlib takes long to import, and no other rank needs it
 
                 save(figure(dump, spread, view, values), path)
         yield path

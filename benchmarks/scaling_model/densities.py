@@ -15,8 +15,8 @@ from mpi4py import MPI
 from amrpic.errors import InputError
 from amrpic.mesh.boxes import cells_of
 from amrpic.mesh.hierarchy import Hierarchy
-from amrpic.particles.sampling import draw
-from amrpic.pic.quantities import Quantities
+from amrpic.particles.uniform_numbers import draw
+from amrpic.pic.rule_quantities import Quantities
 from amrpic.scene.bunch_shapes import GaussianBunch
 from amrpic.scene.bunches import Bunch, LatticeBunch, Train
 from amrpic.scene.motion import RandomWalk

@@ -15,7 +15,7 @@ from pathlib import Path
 import example_pictures
 from amrpic.io import time_series
 from amrpic.results import curves
-from amrpic.view import emission
+from amrpic.view import emission_plots
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES, PAGE, PICTURES = ROOT / "examples", ROOT / "docs" / "gallery.md", ROOT / "docs" / "pictures"
@@ -52,7 +52,7 @@ def plot(*options: str) -> Callable[[Path, Path], None]:
 
 def currents(run: Path, picture: Path) -> None:
     """Draw the currents of sources into a file."""
-    next(emission.figures(run))[1].savefig(picture, dpi=100)
+    next(emission_plots.figures(run))[1].savefig(picture, dpi=100)
 
 
 def curve(*labels: str) -> Callable[[Path, Path], None]:

@@ -12,7 +12,7 @@ from mpi4py import MPI
 from amrpic import Scene, Simulation
 from amrpic.commands.main import main
 from amrpic.mesh.pictures import METAL
-from amrpic.results import report
+from amrpic.results import report_page
 
 TABLE = """
 [domain]
@@ -109,6 +109,6 @@ def test_pictures_of_a_run_and_its_report_show_metal(table):
     # the plane y = 1 mm cuts the tip, 4.5 mm² of 400 mm² that fill about half of the picture
     assert 0.005 < grey.mean() < 0.03
     assert Path("out/electrodes.vtk").exists()
-    assert 'alt="phi_y"' in report.make(Path("out"))
+    assert 'alt="phi_y"' in report_page.make(Path("out"))
     table.with_name("tip.stl").unlink()
-    assert 'alt="phi_y"' in report.make(Path("out"))  # without what is no longer there
+    assert 'alt="phi_y"' in report_page.make(Path("out"))  # without what is no longer there

@@ -19,7 +19,7 @@ from amrpic.pic.adapt import follow, make_base
 from amrpic.pic.frames import first_frames
 from amrpic.pic.initial_particles import make_particles
 from amrpic.pic.meshed import MeshedParticles
-from amrpic.pic.quantities import Quantities
+from amrpic.pic.rule_quantities import Quantities
 from amrpic.pic.setup import set_up
 from amrpic.space_charge.drive import Drive
 from amrpic.space_charge.tagging_rules import tags_of

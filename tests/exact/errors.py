@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from amrpic.verify.errors import errors, level_errors
+from amrpic.verify.error_norms import errors, level_errors
 
 __all__ = ["errors", "level_errors", "observed_order"]
 

@@ -11,7 +11,7 @@ import numpy as np
 from mpi4py import MPI
 
 import amrpic
-from amrpic.scene.lattice import LatticeSection
+from amrpic.scene.lattice_file import LatticeSection
 from amrpic.units import SPEED_OF_LIGHT
 
 MADX = """

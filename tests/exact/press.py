@@ -10,7 +10,7 @@ from mpi4py import MPI
 from scipy.spatial import cKDTree
 
 from amrpic import fem, mpm
-from amrpic.fem.solve import Coarse, Preconditioner
+from amrpic.fem.conjugate_gradients import Coarse, Preconditioner
 from amrpic.parallel import global_sum
 
 Layout = Callable[[fem.Mesh], fem.Points]

@@ -12,9 +12,9 @@ from typing import Protocol
 import numpy as np
 
 from amrpic.units import VACUUM_PERMITTIVITY as EPS0
-from amrpic.verify.sources import Array, Density, Vector, fill
-from amrpic.verify.sources import ChargedSphere as Sphere
-from amrpic.verify.sources import GaussianCharge as Gaussian
+from amrpic.verify.known_charges import Array, Density, Vector, fill
+from amrpic.verify.known_charges import ChargedSphere as Sphere
+from amrpic.verify.known_charges import GaussianCharge as Gaussian
 
 __all__ = ["EPS0", "Gaussian", "Layer", "Plummer", "Product", "Source", "Sphere", "Together", "Wave", "fill"]
 

@@ -12,7 +12,7 @@ import amrpic
 from amrpic.errors import InputError
 from amrpic.lattice import pals
 from amrpic.lattice.orbit import START, exit_of
-from amrpic.scene.lattice import LatticeSection
+from amrpic.scene.lattice_file import LatticeSection
 from exact.lattices import MADX, PALS, matrix, starts, tracked
 
 HEAD = "PALS:\n  facility:\n    - begin: {kind: BeginningEle, ReferenceP: {species_ref: proton, pc_ref: 3.0e8}}\n"

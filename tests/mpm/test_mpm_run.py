@@ -20,10 +20,10 @@ from amrpic.io.run_status import RunStatus
 from amrpic.mesh.field import Field
 from amrpic.mpm.material_points import migrate, require_inside
 from amrpic.mpm.means import element_means
-from amrpic.mpm.measure import loose_weights
-from amrpic.mpm.preview import preview
+from amrpic.mpm.point_preview import preview
+from amrpic.mpm.rows import loose_weights
 from amrpic.mpm.sample import mesh_of, sample
-from amrpic.results.compare import compare
+from amrpic.results.comparison import compare
 from amrpic.view.draw import figures
 from amrpic.view.views import View
 from verify.mpm import GROUND, OF_SOFT, SOFT, column_errors, press

@@ -125,6 +125,7 @@ def met_in_collection() -> Counter[tuple[str, frozenset[tuple[int, int]]]]:
     return met
 
 
+@pytest.mark.long  # of the collection, not of what is tested on it
 def test_the_collection_meets_every_placement_and_fits_in_gaps():
     faces = {fit_name: sum(n for (name, _), n in met_in_collection().items() if name == fit_name) for fit_name in FITS}
     assert [name for name, count in faces.items() if count < 10] == []
@@ -134,6 +135,7 @@ def block(placement: tuple[str, tuple[int, ...], tuple[int, ...]]) -> set[tuple[
     return set(itertools.product(placement[1], placement[2]))
 
 
+@pytest.mark.long  # of the collection, not of what is tested on it
 def test_the_collection_tells_every_order_of_two_placements_apart():
     """For any two placements, some ghost uses the first and has the second, unless an earlier one is there with them."""
     for first, second in itertools.combinations(range(len(PLACEMENTS)), 2):

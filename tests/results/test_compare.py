@@ -12,7 +12,7 @@ from mpi4py import MPI
 
 import amrpic
 from amrpic.commands.main import main
-from amrpic.results.compare import Comparison, compare
+from amrpic.results.comparison import Comparison, compare
 
 
 def scene(folder: Path, levels: int = 1, cells: int = 16, size: int = 16, wall: float = 0.1, **more) -> amrpic.Scene:

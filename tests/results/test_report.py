@@ -13,7 +13,7 @@ import browser
 from amrpic.commands.main import main
 from amrpic.io import time_series
 from amrpic.io.run_status import RunStatus
-from amrpic.results import report
+from amrpic.results import report_page
 
 SECTIONS = ["Pictures", "Beam", "Solver", "Time", "Remarks", "Scene"]
 
@@ -55,16 +55,16 @@ def test_a_run_ends_with_a_page_that_has_all_in_it(comm, tmp_path):
     for what, held in (
         ("step", "3 of 3"),
         ("simulated time", "6 ns"),
-        ("amrpic", f"{report.version('amrpic')}, seed 1"),
+        ("amrpic", f"{report_page.version('amrpic')}, seed 1"),
     ):
         assert f"<td>{what}</td><td>{held}</td>" in page
     assert f"<td>{len(simulation.report.residuals) - 1}</td><td>{simulation.report.residuals[-1]:.2e}</td>" in page
     row = time_series.read(tmp_path / "beam.csv")[-1]
-    assert f"<td>bunch_0</td><td>{row['particles']}</td><td>{report.quantity(row['charge'], 'C')}</td>" in page
+    assert f"<td>bunch_0</td><td>{row['particles']}</td><td>{report_page.quantity(row['charge'], 'C')}</td>" in page
     status = RunStatus.read(tmp_path)
     assert any("motion.dt of 2e-09 s is long" in text for text in status.warnings)
-    assert all(f'<p class="warning">{report.escape(text)}</p>' in page for text in status.warnings)
-    assert all(f"<p>{report.escape(text)}</p>" in page for text in status.notes)
+    assert all(f'<p class="warning">{report_page.escape(text)}</p>' in page for text in status.warnings)
+    assert all(f"<p>{report_page.escape(text)}</p>" in page for text in status.notes)
     assert "steps = 3" in page
 
 
@@ -80,7 +80,7 @@ def test_pictures_of_the_run_stand_in_where_there_are_no_dumps(comm, tmp_path, c
 
 def test_a_run_of_tables_alone_and_one_of_a_single_row_have_pages(comm, tmp_path):
     amrpic.Simulation(scene(tmp_path, 0, "series")).run(log="silent")
-    page = report.make(tmp_path)
+    page = report_page.make(tmp_path)
     assert re.findall(r"<h2>(\w+)</h2>", page) == SECTIONS[1:] and set(pictures(page)) == {"beam", "solver", "time"}
 
 

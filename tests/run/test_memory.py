@@ -126,9 +126,8 @@ def test_levels_with_long_cells_take_the_bytes_that_are_counted(comm, upper, str
     assert solver.native.backend_bytes == pytest.approx(parts["solver"], rel=0.25)
 
 
-@pytest.mark.parametrize("name", ["drift", "cathode", "long_beam"])
-def test_a_short_run_takes_the_memory_that_its_preview_tells(tmp_path, name):
-    compare(EXAMPLES / f"{name}.toml", 2, tmp_path, "schedule.steps=2")
+def test_a_short_run_takes_the_memory_that_its_preview_tells(tmp_path):
+    compare(EXAMPLES / "cathode.toml", 2, tmp_path, "schedule.steps=2")
 
 
 @pytest.mark.long

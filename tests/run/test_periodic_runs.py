@@ -10,9 +10,9 @@ import pytest
 from amrpic import Scene, Simulation
 from amrpic.io import particle_reader
 from amrpic.mesh.periods import nearest
-from amrpic.results import compare
+from amrpic.results import comparison
 from amrpic.results.run_results import Results
-from amrpic.view import phase_space
+from amrpic.view import phase_space_plots
 
 
 def scene_of(folder, centre, write=("series",), **more):
@@ -77,7 +77,7 @@ def test_a_picture_of_phase_space_shows_a_bunch_on_a_face_in_one_piece(tmp_path)
         log="silent"
     )
     for path in (next(tmp_path.glob("particles_*.h5")), next(tmp_path.glob("checkpoint_*"))):
-        ((_, figure),) = phase_space.figures(particle_reader.read(path), ["z-pz"])
+        ((_, figure),) = phase_space_plots.figures(particle_reader.read(path), ["z-pz"])
         plane = next(axes for axes in figure.axes if axes.get_xlabel().startswith("z"))
         left, right = plane.get_xlim()
         assert 6 < right - left < 16  # mm
@@ -89,7 +89,7 @@ def test_particles_that_rounding_takes_through_a_face_are_compared_where_they_ar
         scene["bunches"][0]["sigma"] = ["1 mm", "1 mm", 0]
         Simulation(Scene.from_dict(scene)).run(log="silent")
     runs = [Results.open(tmp_path / name) for name in ("one", "other")]
-    found = {one.what: one.relative for one in compare._particles(*runs)}
+    found = {one.what: one.relative for one in comparison._particles(*runs)}
     assert found["position over its rms"] < 1e-9
     z = [particle_reader.read(next(run.folder.glob("particles_*.h5"))).particles.position[:, 2] for run in runs]
     assert np.abs(z[1] - z[0]).max() > 0.039 and np.abs(nearest(z[1] - z[0], 0.04)).max() < 2e-12
@@ -130,6 +130,6 @@ def test_files_of_a_window_know_where_its_periods_are(tmp_path):
         for dump in written, held:
             z = dump.particles.position[:, 2]
             assert written.domain.lower[2] <= z.min() < z.max() <= written.domain.upper[2] and np.ptp(z) > 0.039
-            ((_, figure),) = phase_space.figures(dump, ["z-pz"])
+            ((_, figure),) = phase_space_plots.figures(dump, ["z-pz"])
             left, right = next(axes for axes in figure.axes if axes.get_xlabel().startswith("z")).get_xlim()
             assert 6 < right - left < 16  # mm

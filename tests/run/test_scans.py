@@ -13,7 +13,7 @@ from mpi4py import MPI
 
 from amrpic.drivers import evaluate as function
 from amrpic.drivers.evaluate import LOG, evaluate
-from amrpic.drivers.scan import combinations, scan, values_of
+from amrpic.drivers.scans import combinations, scan, values_of
 from amrpic.errors import AmrpicError, InputError, SceneError
 from refusals import ended, refusal
 

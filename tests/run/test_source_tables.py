@@ -9,9 +9,9 @@ from mpi4py import MPI
 from amrpic.commands.preview import preview
 from amrpic.io import time_series
 from amrpic.pic.simulation import Simulation
-from amrpic.results import report
+from amrpic.results import report_page
 from amrpic.scene.scene import Scene
-from amrpic.view import emission
+from amrpic.view import emission_plots
 
 
 def scene(folder, steps: int) -> Scene:
@@ -62,9 +62,9 @@ def test_a_run_tells_what_its_sources_gave(tmp_path):
     assert of_gun["charge"].sum() == pytest.approx(-1e-15)
     x = np.average(of_gun["x"], weights=of_gun["charge"])
     assert x == pytest.approx(5e-4, abs=5 * 1e-3 / np.sqrt(12 * 500))
-    names = [name for name, _ in emission.figures(tmp_path)]
+    names = [name for name, _ in emission_plots.figures(tmp_path)]
     assert names == ["current of sources", "emission of gun", "emission of source_1"]
-    assert "emission of gun" in report.make(tmp_path)
+    assert "emission of gun" in report_page.make(tmp_path)
     beam = time_series.read(tmp_path / "beam.csv")
     assert set(beam["group"]) == {"all", "electron", "proton", "gun", "source_1"}
     last = (np.array(beam["group"]) == "gun") & (beam["step"] == 20)

@@ -13,7 +13,7 @@ from mpi4py import MPI
 import amrpic
 from amrpic.io.field_reader import LiveDump, open_dump
 from amrpic.pic.course import Course
-from amrpic.results.compare import compare
+from amrpic.results.comparison import compare
 from vtk_files import vtk_read
 
 Points = tuple[np.ndarray, np.ndarray]  # places (n, 3) in m, and a weight of each (n,)

@@ -11,7 +11,7 @@ import pytest
 
 from amrpic import Scene, shapes
 from amrpic.errors import InputError, SceneError
-from amrpic.pic.electrodes import make_electrodes
+from amrpic.pic.driven_electrodes import make_electrodes
 from amrpic.scene.electrode_shapes import Formula
 
 DOMAIN = {"lower": -0.02, "upper": 0.02, "cells": 16, "boundary": "dirichlet"}

@@ -13,8 +13,8 @@ from amrpic.commands import main
 from amrpic.commands.methods import scene_from
 from amrpic.errors import OutputError, SceneError
 from amrpic.scene.any_scene import read_data
+from amrpic.scene.json_schema import scene_reference, scene_schema
 from amrpic.scene.scene import Scene
-from amrpic.scene.schema import scene_reference, scene_schema
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "examples").glob("*.toml"))
 VALIDATOR = jsonschema.Draft202012Validator(scene_schema())

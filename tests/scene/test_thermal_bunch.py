@@ -17,7 +17,7 @@ from amrpic.particles import thermal_equilibrium
 from amrpic.particles.distributions import thermal
 from amrpic.particles.groups import Groups
 from amrpic.particles.phase_space import PhasePlane
-from amrpic.particles.sampling import draw
+from amrpic.particles.uniform_numbers import draw
 from amrpic.pic.initial_particles import make_particles
 from amrpic.scene.scene import Scene
 from amrpic.scene.thermal_bunch import ThermalBunch

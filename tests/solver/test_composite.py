@@ -243,7 +243,10 @@ def problem(name: str, comm: Any) -> Problem:
     return _problem(name, comm.py2f())
 
 
-each_case = pytest.mark.parametrize("name", NAMES, scope="module")
+LARGEST = "six levels off centre, mixed"  # half a minute for its matrices
+each_case = pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.long) if name == LARGEST else name for name in NAMES], scope="module"
+)
 on_ranks = pytest.mark.mpi(ranks=(1, 2, 3))
 
 
@@ -335,7 +338,7 @@ def test_corrections_are_added_and_averaged_down(comm, name):
         assert np.array_equal(found.native.level(level), other.native.level(level))
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if "six levels" not in name], scope="module")
+@pytest.mark.parametrize("name", [name for name in NAMES if name != LARGEST], scope="module")
 def test_truncation_error_is_what_coarser_laplacians_see(comm, name):
     check_truncation(problem(name, comm), (2, 2, 2))
 

@@ -1,6 +1,7 @@
 """Random problems give the same answer at the same cost on any ranks, boxes, backend and instruction set; see `fuzz`.
 
-An ordinary run takes 60 small ones, always the same; `pytest -m long` 2,000 fresh ones, as far as 20 minutes go.
+An ordinary run takes 60 small ones, always the same; `pytest -m long` 2,000 fresh ones, as far as 20 minutes go, and those
+that failed once.
 """
 
 from __future__ import annotations
@@ -37,6 +38,7 @@ def test_two_thousand_problems_do_not_depend_on_how_they_are_solved():
     check(results, seed)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("seed", "number"), FOUND)
 def test_problems_that_once_failed_pass(seed, number):
     check(fuzz.run_all(seed, [number], LARGE, shrink=0)[0], seed)

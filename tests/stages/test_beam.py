@@ -15,8 +15,8 @@ from amrpic.errors import ParticleError
 from amrpic.particles import distributions
 from amrpic.particles.particles import Particles
 from amrpic.particles.phase_space import PhasePlane, PhaseSpace
-from amrpic.particles.sampling import draw
 from amrpic.particles.species import Species
+from amrpic.particles.uniform_numbers import draw
 from amrpic.pic.initial_particles import make_particles
 from amrpic.scene.bunch_shapes import GaussianBunch
 from amrpic.scene.scene import Scene

@@ -23,7 +23,7 @@ from amrpic.pic.adapt import follow, make_base
 from amrpic.pic.frames import first_frames
 from amrpic.pic.initial_particles import make_particles
 from amrpic.pic.meshed import MeshedParticles
-from amrpic.pic.quantities import Quantities
+from amrpic.pic.rule_quantities import Quantities
 from amrpic.pic.setup import Setup, set_up
 from amrpic.pic.simulation import Simulation
 from amrpic.scene.refinement_rules import ARGUMENTS

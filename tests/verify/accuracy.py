@@ -17,16 +17,16 @@ from amrpic.mesh.hierarchy import Hierarchy
 from amrpic.parallel import global_sum
 from amrpic.particles.clouds import Clouds, CompensationKind, Shape, compensation_pays
 from amrpic.particles.particles import Particles
-from amrpic.particles.sampling import Sampling
-from amrpic.particles.sampling import draw as drawn
 from amrpic.particles.species import Species, SpeciesTable
+from amrpic.particles.uniform_numbers import Sampling
+from amrpic.particles.uniform_numbers import draw as drawn
 from amrpic.stages.deposit import deposit
 from amrpic.stages.diagnostics import moments, potential_energy
 from amrpic.stages.gather import compensate, gather
 from amrpic.stages.migrate import migrate
 from amrpic.stages.poisson import PoissonSolver
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE
-from amrpic.verify.draw import picture
+from amrpic.verify.charts import picture
 from amrpic.verify.table import Cell, Goal, Table
 from exact.runs import collected, states
 from exact.sources import EPS0, Gaussian

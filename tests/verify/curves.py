@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from amrpic.verify.draw import MARKERS, picture
+from amrpic.verify.charts import MARKERS, picture
 from amrpic.verify.table import Table
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from scipy.linalg import expm
 from scipy.optimize import brentq, root
 
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE, SPEED_OF_LIGHT
-from amrpic.verify.draw import picture
+from amrpic.verify.charts import picture
 from amrpic.verify.table import Cell, Goal, Table
 from exact.channel import (
     DEPRESSION,

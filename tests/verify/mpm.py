@@ -13,12 +13,12 @@ import numpy as np
 from mpi4py import MPI
 
 from amrpic import fem, mpm
-from amrpic.fem.solve import Preconditioner
+from amrpic.fem.conjugate_gradients import Preconditioner
 from amrpic.mpm.conditions import held_by
 from amrpic.mpm.state import LoadState, Plan
 from amrpic.mpm.step import begin
 from amrpic.parallel import from_rank_0, global_sum
-from amrpic.verify.draw import picture
+from amrpic.verify.charts import picture
 from amrpic.verify.table import Cell, Goal, Table
 from exact.press import exact_stress
 

@@ -15,10 +15,10 @@ from scipy.special import ndtri, wofz
 
 from amrpic.mesh.field import Field
 from amrpic.particles.clouds import CompensationKind, Shape
-from amrpic.particles.sampling import draw
+from amrpic.particles.uniform_numbers import draw
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE, SPEED_OF_LIGHT
+from amrpic.verify.charts import picture
 from amrpic.verify.described import before_shift
-from amrpic.verify.draw import picture
 from amrpic.verify.table import Cell, Goal, Table
 from exact.runs import states
 from exact.sources import EPS0

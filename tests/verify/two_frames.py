@@ -9,7 +9,7 @@ import numpy as np
 from mpi4py import MPI
 
 from amrpic.units import ELECTRON_MASS, SPEED_OF_LIGHT
-from amrpic.verify.draw import picture
+from amrpic.verify.charts import picture
 from amrpic.verify.table import Goal, Table
 from exact.runs import states
 

@@ -13,7 +13,7 @@ from amrpic.errors import InputError
 from amrpic.io import time_series
 from amrpic.io.provenance import Provenance
 from amrpic.stages.loss_map import COLUMNS
-from amrpic.view import loss_map
+from amrpic.view import loss_plots
 
 ROWS: list[dict[str, Any]] = [
     {"cause": "pipe", "lower": 0.0, "upper": 0.5, "particles": 3, "charge": -2e-12, "energy": 4e-6},
@@ -25,7 +25,7 @@ ROWS: list[dict[str, Any]] = [
 def test_bars_are_losses_per_length(comm, tmp_path):
     time_series.write(comm, tmp_path / "losses.csv", COLUMNS, ROWS, Provenance())
     table = time_series.read(tmp_path / "losses.csv")
-    figure = loss_map.draw(table, ["energy", "particles"])
+    figure = loss_plots.draw(table, ["energy", "particles"])
     for panel, name, unit in zip(figure.axes, ("energy", "particles"), (1e-6, 1.0), strict=True):
         bars = [bar.get_bbox().bounds for bar in panel.patches if isinstance(bar, Rectangle)]
         values = [row[name] / 0.5 / unit for row in ROWS]

@@ -18,7 +18,7 @@ from amrpic.particles.particles import Particles
 from amrpic.particles.species import SPECIES, SpeciesTable
 from amrpic.stages.beam_diagnostics import Beam, group_moments, group_slices
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE, SPEED_OF_LIGHT
-from amrpic.view import phase_space
+from amrpic.view import phase_space_plots
 
 BUNCHES = [
     {
@@ -90,8 +90,8 @@ def test_the_pixels_of_a_plane_hold_all_of_the_charge_in_their_places(comm):
         1e-3 * random.normal(size=(5000, 3)), 0.01 * random.normal(size=(5000, 3)) + [0, 0, 1]
     )
     part = group_moments(comm, beam, groups)[groups.members[0]]
-    for name, (first, second) in phase_space.PLANES.items():
-        figure = phase_space.draw_plane(particles, part, name, "test")
+    for name, (first, second) in phase_space_plots.PLANES.items():
+        figure = phase_space_plots.draw_plane(particles, part, name, "test")
         plane = figure.axes[0]
         (mesh,) = (one for one in plane.collections if isinstance(one, QuadMesh))
         charge: np.ndarray = np.ma.filled(np.ma.asarray(mesh.get_array()), 0)
@@ -115,7 +115,7 @@ def test_the_picture_of_slices_shows_the_current(comm):
     random = np.random.default_rng(1)
     _, groups, beam = bunch(1e-3 * random.normal(size=(5000, 3)), 0.01 * random.normal(size=(5000, 3)) + [0, 0, 1])
     slices = group_slices(comm, beam, groups, group_moments(comm, beam, groups), 10)[groups.members[0]]
-    current, *others = phase_space.draw_slices(slices, "test").axes
+    current, *others = phase_space_plots.draw_slices(slices, "test").axes
     (shown,) = (one for one in current.patches if isinstance(one, StepPatch))
     np.testing.assert_allclose(shown.get_data()[0], np.array([one.current for one in slices]), rtol=1e-9)
     assert current.get_ylabel() == "current / A"
@@ -133,9 +133,11 @@ def test_degenerate_beams_can_be_drawn(comm, count, size, momentum):
     moments = group_moments(comm, beam, groups)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        for name in phase_space.PLANES:
-            phase_space.draw_plane(particles, moments[groups.members[0]], name, "test").canvas.draw()
-        phase_space.draw_slices(group_slices(comm, beam, groups, moments, 5)[groups.members[0]], "test").canvas.draw()
+        for name in phase_space_plots.PLANES:
+            phase_space_plots.draw_plane(particles, moments[groups.members[0]], name, "test").canvas.draw()
+        phase_space_plots.draw_slices(
+            group_slices(comm, beam, groups, moments, 5)[groups.members[0]], "test"
+        ).canvas.draw()
 
 
 def test_the_command_draws_what_is_asked_for_and_refuses_the_rest(comm, tmp_path, capsys):
@@ -164,10 +166,10 @@ def test_the_command_draws_what_is_asked_for_and_refuses_the_rest(comm, tmp_path
 
 def test_a_folder_without_particles_and_a_lost_group_are_named(comm, tmp_path):
     with pytest.raises(InputError, match=r"holds neither checkpoint_\* nor particles_\*\.h5"):
-        phase_space.plot(tmp_path)
+        phase_space_plots.plot(tmp_path)
     dumped(comm, tmp_path, [{**BUNCHES[0]}, {**BUNCHES[1], "particles": 0}])
     with pytest.raises(InputError, match=r"ions of .* has no particles left to draw"):
-        phase_space.plot(tmp_path, group="ions")
+        phase_space_plots.plot(tmp_path, group="ions")
 
 
 def test_test_particles_are_drawn_each_as_one(comm, tmp_path):
@@ -178,10 +180,10 @@ def test_test_particles_are_drawn_each_as_one(comm, tmp_path):
         dump = particle_reader.read(tmp_path)
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            found = dict(phase_space.figures(dump, group=group))
+            found = dict(phase_space_plots.figures(dump, group=group))
             for figure in found.values():
                 figure.canvas.draw()
-        assert list(found) == list(phase_space.OVERVIEW)
+        assert list(found) == list(phase_space_plots.OVERVIEW)
         plane = found["x-y"]
         assert plane.axes[-1].get_ylabel() == "particles per pixel"
         [image] = (values for one in plane.axes[0].collections if (values := one.get_array()) is not None)

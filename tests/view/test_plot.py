@@ -15,7 +15,7 @@ from amrpic.io.field_reader import CheckpointDump, Dump, open_dump
 from amrpic.io.provenance import Provenance
 from amrpic.mesh import raster
 from amrpic.units import quantity
-from amrpic.view import draw, plot, views
+from amrpic.view import draw, views
 
 DOMAIN = Domain(lower=(-0.02, -0.03, 0.01), upper=(0.02, 0.01, 0.17), cells=(16, 16, 32), boundary="dirichlet")
 LEVELS = [[((8, 8, 8), (23, 23, 47))], [((24, 24, 40), (39, 39, 55))]]
@@ -112,14 +112,14 @@ DENSITIES = {
 
 @pytest.mark.parametrize(("density", "axis"), [("positive", "z"), ("negative", "x"), ("both", "z"), ("none", "x")])
 def test_every_dump_can_be_drawn_and_no_label_is_clipped(comm, tmp_path, density, axis, monkeypatch):
-    figures = []
-    save = plot.save
+    saved = []
+    save = figures.save
 
     def watched(figure, path):
-        figures.append(figure)
+        saved.append(figure)
         return save(figure, path)
 
-    monkeypatch.setattr(plot, "save", watched)
+    monkeypatch.setattr(figures, "save", watched)
     shown = [replace(view, axis="xyz".index(axis)) for view in views.OVERVIEW]
     shown += [views.View("Ez", "projection", scale="symmetric", boxes=False), views.View("rho", scale="log", level=1)]
     pictures = draw.plot(dumped(comm, tmp_path, DENSITIES[density]), tmp_path / "pictures", shown)
@@ -132,7 +132,7 @@ def test_every_dump_can_be_drawn_and_no_label_is_clipped(comm, tmp_path, density
         "rho_z_level1",
     )
     assert [p.name for p in pictures] == [f"fields_00000003_{n}.png" for n in names]
-    for path, figure in zip(pictures, figures, strict=True):
+    for path, figure in zip(pictures, saved, strict=True):
         assert path.read_bytes().startswith(b"\x89PNG")
         box = figure.get_tightbbox(FigureCanvasAgg(figure).get_renderer())
         width, height = figure.get_size_inches()

@@ -25,7 +25,7 @@ from ..mesh.pictures import png
 from ..scene import toml
 from ..scene.scene import Scene
 from ..units import ELEMENTARY_CHARGE, quantity
-from ..view import draw, emission, phase_space
+from ..view import draw, emission_plots, phase_space_plots
 from ..view.views import overview_of
 from . import curves
 from .dumped_fields import is_of_points, scene_of
@@ -146,7 +146,7 @@ def _pictures(folder: Path, particles: int) -> str:
     if 0 < particles <= MOST_PARTICLES:
         with contextlib.suppress(InputError):
             dumped = particle_reader.read(folder)
-            figures += [_image(figure, name) for name, figure in phase_space.figures(dumped, PLANES)]
+            figures += [_image(figure, name) for name, figure in phase_space_plots.figures(dumped, PLANES)]
     return f'<div class="pictures">{"".join(figures)}</div>' if figures else ""
 
 
@@ -169,10 +169,10 @@ def _sources(folder: Path, scene: Scene) -> str:
         return ""
     pictures = []
     with contextlib.suppress(InputError):
-        pictures += [_image(figure, name) for name, figure in emission.figures(folder)]
+        pictures += [_image(figure, name) for name, figure in emission_plots.figures(folder)]
     for source in scene.source_names:
         with contextlib.suppress(InputError):
-            for _, figure in phase_space.figures(particle_reader.read(folder), ("slices",), source):
+            for _, figure in phase_space_plots.figures(particle_reader.read(folder), ("slices",), source):
                 pictures.append(_image(figure, f"slices of {source}"))
     return f'<div class="pictures">{"".join(pictures)}</div>' if pictures else ""
 

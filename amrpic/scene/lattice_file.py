@@ -18,7 +18,7 @@ from ..mesh.directions import axes
 from ..particles.species import SPECIES
 from ..units import SPEED_OF_LIGHT
 from .section import Section
-from .species import Species
+from .species_of_bunches import Species
 from .units import Energy, Length, Length3
 
 PALS = (".yaml", ".yml")

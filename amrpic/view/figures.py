@@ -19,7 +19,7 @@ from ..mesh.domain import AXES
 from ..mesh.pictures import DPI, draw_curve, plane
 from ..mesh.raster import ChargeSpread, Line, Raster, line_through
 from ..units import prefix_of, quantity
-from .metal import metal_in
+from .metal_plots import metal_in
 from .views import View, kinds_of, of_points
 
 Array = NDArray[Any]

@@ -18,7 +18,6 @@ from ..io import openpmd_reader, particle_reader, points_writer, time_series
 from ..mesh.domain import AXES
 from ..mesh.field import Field, VectorField
 from ..mesh.periods import nearest
-from ..particles.particles import Particles
 from ..scene.differences import differences
 from ..units import SPEED_OF_LIGHT
 from .dumped_fields import DumpedFields
@@ -129,17 +128,16 @@ def _series(first: Table, second: Table, charge: float = 0.0) -> Iterator[Differ
 
     `charge`: of the largest group of particles, C.
     """
-    steps, rows_of_first, rows_of_second = np.intersect1d(first["step"], second["step"], return_indices=True)
-    alone = len(first) + len(second) - 2 * len(steps)
-    yield Difference("steps", math.inf if alone else 0.0, f"{alone} of one run alone" if alone else "")
-    first, second = first[rows_of_first], second[rows_of_second]
+    rows, alone = _in_both(first["step"], second["step"])
+    yield _counted("steps", alone, "of one run alone")
+    first, second = first[rows[0]], second[rows[1]]
     names = [
         name for name in first.dtype.names or () if name in (second.dtype.names or ()) and not name.startswith(HOW)
     ]
     for name in names[1:]:
         scale = charge if name == "charge" else _scale(name, first)
         relative, place = _relative(first[name].astype(float), second[name].astype(float), scale)
-        yield Difference(name, relative, f"at step {steps[place]}" if relative > 0 else "")
+        yield Difference(name, relative, f"at step {first['step'][place]}" if relative > 0 else "")
 
 
 def _scale(name: str, table: Table) -> float:
@@ -251,21 +249,16 @@ def _particles(first: Results, second: Results) -> Iterator[Difference]:
     step = _latest_common(dumps)
     dumped, dumped_second = (particle_reader.read(paths[step]) for paths in dumps)
     of_first, of_second = dumped.particles, dumped_second.particles
-    _, rows_of_first, rows_of_second = np.intersect1d(of_first.id, of_second.id, return_indices=True)
-    alone = len(of_first) + len(of_second) - 2 * len(rows_of_first)
-    yield Difference(
-        "particles", math.inf if alone else 0.0, f"{alone} of one run alone" if alone else f"at step {step}"
-    )
-    of_first, of_second = of_first.select(rows_of_first), of_second.select(rows_of_second)
+    rows, alone = _in_both(of_first.id, of_second.id)
+    yield _counted("particles", alone, "of one run alone", f"at step {step}")
+    of_first, of_second = of_first.select(rows[0]), of_second.select(rows[1])
     for quantity in ("position", "momentum"):
         distance = getattr(of_first, quantity) - getattr(of_second, quantity)
         if (
             quantity == "position" and dumped.domain is not None
         ):  # rounding may have taken one of two through a periodic face
             distance = np.stack([nearest(distance[:, d], dumped.domain.period(d)) for d in range(3)], axis=1)
-        spread = _spread(of_first, quantity)
-        worst = float(np.abs(distance).max(initial=0.0))
-        yield Difference(f"{quantity} over its rms", worst / spread if spread > 0 else worst, f"at step {step}")
+        yield _over_rms(f"{quantity} over its rms", distance, getattr(of_first, quantity), f"at step {step}")
 
 
 def _points(first: Results, second: Results) -> Iterator[Difference]:
@@ -273,14 +266,12 @@ def _points(first: Results, second: Results) -> Iterator[Difference]:
     dumps = [run._dumps("points_*.vtkhdf") for run in (first, second)]
     step = _latest_common(dumps)
     of_first, of_second = (points_writer.read(paths[step]) for paths in dumps)
-    _, rows_of_first, rows_of_second = np.intersect1d(of_first["id"], of_second["id"], return_indices=True)
-    alone = len(of_first["id"]) + len(of_second["id"]) - 2 * len(rows_of_first)
-    yield Difference("points", math.inf if alone else 0.0, f"{alone} of one run alone" if alone else f"at step {step}")
+    rows, alone = _in_both(of_first["id"], of_second["id"])
+    yield _counted("points", alone, "of one run alone", f"at step {step}")
     for name in of_first:
         if name in of_second and name != "id":
             a, b = (
-                values[name][rows].astype(float).ravel()
-                for values, rows in ((of_first, rows_of_first), (of_second, rows_of_second))
+                of_run[name][own].astype(float).ravel() for of_run, own in zip((of_first, of_second), rows, strict=True)
             )
             yield Difference(f"{name} of points", _relative(a, b)[0], f"at step {step}")
 
@@ -291,21 +282,16 @@ def _losses(first: Results, second: Results) -> Iterator[Difference]:
     if not all(path.exists() for path in paths):
         raise _Missing
     tables = [_lost(path) for path in paths]
-    _, rows_of_first, rows_of_second = np.intersect1d(tables[0]["id"], tables[1]["id"], return_indices=True)
-    alone = len(tables[0]["id"]) + len(tables[1]["id"]) - 2 * len(rows_of_first)
-    yield Difference("lost particles", math.inf if alone else 0.0, f"{alone} of one run alone" if alone else "")
+    rows, alone = _in_both(tables[0]["id"], tables[1]["id"])
+    yield _counted("lost particles", alone, "of one run alone")
     of_first, of_second = (
-        {name: values[rows] for name, values in t.items()}
-        for t, rows in zip(tables, (rows_of_first, rows_of_second), strict=True)
+        {name: values[own] for name, values in table.items()} for table, own in zip(tables, rows, strict=True)
     )
     elsewhere = int(np.count_nonzero(of_first["cause"] != of_second["cause"]))
-    yield Difference(
-        "causes of losses", math.inf if elsewhere else 0.0, f"{elsewhere} at something else" if elsewhere else ""
-    )
+    yield _counted("causes of losses", elsewhere, "at something else")
     for quantity in ("time", "position"):
-        spread = float(np.sqrt(np.mean(np.square(of_first[quantity])))) if len(rows_of_first) else 0.0
-        worst = float(np.abs(of_first[quantity] - of_second[quantity]).max(initial=0.0))
-        yield Difference(f"{quantity} of losses over its rms", worst / spread if spread > 0 else worst)
+        distance = of_first[quantity] - of_second[quantity]
+        yield _over_rms(f"{quantity} of losses over its rms", distance, of_first[quantity])
 
 
 def _lost(path: Path) -> dict[str, NDArray[Any]]:
@@ -319,9 +305,22 @@ def _lost(path: Path) -> dict[str, NDArray[Any]]:
     }
 
 
-def _spread(particles: Particles, quantity: str) -> float:
-    values = getattr(particles, quantity)
-    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else 0.0
+def _in_both(first: Table, second: Table) -> tuple[list[Table], int]:
+    """Return the rows, in each run, of the numbers that both have, and how many numbers one of them has alone."""
+    _, *rows = np.intersect1d(first, second, return_indices=True)
+    return rows, len(first) + len(second) - 2 * len(rows[0])
+
+
+def _counted(name: str, number: int, how: str, otherwise: str = "") -> Difference:
+    """Return a difference of which there must be none at all."""
+    return Difference(name, math.inf if number else 0.0, f"{number} {how}" if number else otherwise)
+
+
+def _over_rms(name: str, distance: Table, values: Table, where: str = "") -> Difference:
+    """Return the largest distance, over the rms of the values that it is between unless that is zero."""
+    rms = float(np.sqrt(np.mean(np.square(values)))) if len(values) else 0.0
+    worst = float(np.abs(distance).max(initial=0.0))
+    return Difference(name, worst / rms if rms > 0 else worst, where)
 
 
 def _speed(first: Table, second: Table) -> Iterator[tuple[str, float, float]]:

@@ -17,9 +17,9 @@ from ..run.machine import MIB, machine_memory
 from ..units import quantity
 from ..view.draw import draw
 from ..view.views import View
-from .limits import memory, require_room
 from .means import element_means
-from .measure import loose_weights
+from .room import memory, require_room
+from .rows import loose_weights
 from .scene import Scene
 from .state import LoadState, Plan
 from .step import begin

@@ -21,7 +21,7 @@ from ..particles.groups import Groups
 from ..particles.particles import Particles
 from ..stages.beam_diagnostics import Beam, PartMoments, Slice, group_slices, moments_by_kind
 from ..units import ELEMENTARY_CHARGE, SPEED_OF_LIGHT, prefix_of, quantity
-from .plot import save
+from .figures import save
 
 Array = NDArray[Any]
 

@@ -14,7 +14,7 @@ from ..errors import InputError
 from ..io import time_series
 from ..mesh.pictures import DECADES
 from ..units import prefix_of, quantity
-from .plot import save
+from .figures import save
 
 FILE = "losses.csv"
 UNITS = {"energy": "J/m", "charge": "C/m", "particles": "1/m"}  # of what is lost per length

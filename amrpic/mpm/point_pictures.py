@@ -8,7 +8,7 @@ from ..io import time_series
 from ..mesh.domain import AXES, FACES
 from ..results.run_results import SERIES
 from ..units import prefix_of
-from ..view.plot import save
+from ..view.figures import save
 
 NAME = "force.png"
 

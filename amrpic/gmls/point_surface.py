@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import InputError
-from .checks import finite
+from .inputs import finite
 from .neighbours import Neighbours
 from .samples import Points
 from .spaces import Scalar

@@ -7,13 +7,13 @@ from collections.abc import Callable, Sequence
 from typing import Any, Literal
 
 import numpy as np
-from mpi4py import MPI
 from pydantic import ValidationError
 
 from ..errors import AmrpicError, HierarchyError, InputError
 from ..mesh.domain import Domain
 from ..mesh.field import VectorField
 from ..mesh.hierarchy import Hierarchy
+from ..mpi import MPI
 from ..parallel import Communicator, own, together
 from ..particles.clouds import SHAPES, Clouds, Shape, are_cubes, compensation_pays, matched_pays
 from ..particles.particles import Particles

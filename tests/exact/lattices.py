@@ -97,12 +97,12 @@ def tracked(file: Path, dt: float | None = None, from_end: float = FROM_END) -> 
                 "momenta": momenta.tolist(),
             }
         ],
-        "schedule": {"steps": 0},
+        "schedule": {"steps": 1},
         "output": {"directory": str(file.parent / "run"), "write": []},
     }
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         if dt is None:
-            dt = amrpic.Simulation(MPI.COMM_SELF, amrpic.Scene.from_dict(scene)).setup.dt
+            dt = amrpic.Simulation(MPI.COMM_SELF, amrpic.Scene.from_dict(scene)).advance().time
         steps = int(np.ceil(time / dt))
         scene["motion"]["dt"], scene["schedule"]["steps"] = time / steps, steps
         run = amrpic.Simulation(MPI.COMM_SELF, amrpic.Scene.from_dict(scene))

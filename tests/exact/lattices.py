@@ -71,7 +71,7 @@ def matrix(ends: np.ndarray) -> np.ndarray:
 
 
 def tracked(file: Path, dt: float | None = None, from_end: float = FROM_END) -> np.ndarray:
-    """Where `starts` come to at the end of a lattice, (13, 6), by a run without charge with about this time step (s), or "auto".
+    """Where `starts` come to at the end of a lattice, (13, 6), by a run without charge with about this step (s), or "auto".
 
     It goes to so many m before the end, in a drift."""
     of = LatticeSection(file=str(file)).converted()

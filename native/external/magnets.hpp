@@ -86,8 +86,8 @@ Fields<V> field(Multipole const& of, Vector3<V> const& at, T const&) {
 /// B = ∇ψ, ψ = B0 (y f - y³ Δf / 6): curl B = 0, and div B = -B0 y³ ΔΔf / 6. Positive particles that move along +z turn
 /// to -x. Hard edges: f is a step, ∇f its δ, which focuses vertically those that cross the edge at an angle. With
 /// turned pole faces, f is the product of two profiles, each along the normal of its face; a positive angle makes the
-/// magnet shorter at x > 0. With hard edges there may be a gradient G about an arc through the middles of both faces: at
-/// a distance u outside of its radius, B_y = B0 + G (u - y²/(2r)) and B_r = G y, so that div B = 0.
+/// magnet shorter at x > 0. With hard edges there may be a gradient G about an arc through the middles of both faces:
+/// at a distance u outside of its radius, B_y = B0 + G (u - y²/(2r)) and B_r = G y, so that div B = 0.
 struct Dipole {
   Real B0;    ///< T
   Real half;  ///< length, m
@@ -126,7 +126,8 @@ Vector3<V> gradient_field(Dipole const& of, Vector3<V> const& at) {
   auto const& [x, y, z] = at;
   Real const G = of.gradient;
   if (of.turn == 0) return {G * y, G * x, V{}};
-  Real const radius = of.half / std::sin(of.turn / 2), side = radius > 0 ? 1 : -1;  // signed, as the distance r from the centre of the arc
+  Real const radius = of.half / std::sin(of.turn / 2),
+             side = radius > 0 ? 1 : -1;  // signed, as the distance r from the centre of the arc
   V const from_centre = x + radius * std::cos(of.turn / 2), r_square = from_centre * from_centre + z * z;
   V const r = square_root(r_square) * side, outside = (r_square - radius * radius) / (r + radius);
   return {G * y * from_centre / r, G * (outside - y * y / (2 * r)), G * y * z / r};

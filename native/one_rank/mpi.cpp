@@ -1,5 +1,5 @@
-// An MPI for a process that is alone, in place of MPICH's library, for wheels that do without one. What a single rank calls of
-// it is here; that it sends nothing is `Communicator`'s promise.
+// An MPI for a process that is alone, in place of MPICH's library, for wheels that do without one. What a single rank
+// calls of it is here; that it sends nothing is `Communicator`'s promise.
 #include <mpi.h>
 
 #include <chrono>

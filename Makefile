@@ -22,7 +22,7 @@ export OMPI_ALLOW_RUN_AS_ROOT := 1
 export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM := 1
 export OMPI_MCA_rmaps_base_oversubscribe := 1
 
-.PHONY: always bundle stub docs gallery help setup build run test nehalem aarch64 verify impactx sanitize bench solvers lint format clean
+.PHONY: always bundle wheel stub docs gallery help setup build run test nehalem aarch64 verify impactx sanitize bench solvers lint format clean
 
 help:  ## list the targets
 	@sed -nE 's/^([a-z0-9]+):.*## (.*)/  make \1\t\2/p' Makefile | expand -t 16
@@ -92,6 +92,9 @@ verify: setup build/waiting.so .venv/.docs .venv/.browser .venv/.hosts  ## accur
 KIND ?= cuda
 bundle: .venv/.system  ## an archive that unpacks anywhere and runs, with kernels for graphics cards; KIND=cuda, openmp or serial
 	@docker/card/bundle $(KIND)
+
+wheel: .venv/.system  ## a wheel without Trilinos, compilers and MPI where it is installed; SETS: fewer kernels
+	@docker/wheel
 
 # What the verification compares with where a peer is needed to make it.
 impactx: setup .venv/.peers  ## ImpactX's values for the verification, made anew: tests/verify/beam_line.json

@@ -4,8 +4,10 @@ import atexit
 
 # h5py before the native module: the Trilinos libraries bring an HDF5 of their own, and h5py must meet its own first.
 import h5py  # noqa: F401
-from mpi4py import MPI  # noqa: F401  (MPI must run before Kokkos starts, and end after it)
 
+from .mpi import MPI  # noqa: F401  (MPI must run before Kokkos starts, and end after it)
+
+# isort: split
 from . import _native
 
 _native.initialize()

@@ -568,7 +568,16 @@ class QuadrupoleField:
     def __init__(self, gradient: float, half: float, fringe: EngeFringe) -> None: ...
 
 class DipoleField:
-    def __init__(self, field: float, half: float, fringe: EngeFringe, angle: Sequence[float] = [0.0, 0.0]) -> None: ...
+    def __init__(
+        self,
+        field: float,
+        half: float,
+        fringe: EngeFringe,
+        angle: Sequence[float] = [0.0, 0.0],
+        gradient: float = 0.0,
+        turn: float = 0.0,
+        lost: Sequence[float] = [0.0, 0.0],
+    ) -> None: ...
 
 class MultipoleField:
     def __init__(self, normal: Sequence[float], skew: Sequence[float]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import math
 import operator
 from collections.abc import Callable, Mapping
@@ -25,6 +26,20 @@ OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.USub: operator.neg,
     ast.UAdd: operator.pos,
 }
+COMPARISONS: dict[type[ast.AST], Callable[..., Any]] = {
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Gt: operator.gt,
+    ast.GtE: operator.ge,
+    ast.Eq: operator.eq,
+    ast.NotEq: operator.ne,
+}
+LOGIC: dict[type[ast.AST], Callable[..., Any]] = {
+    ast.And: operator.and_,
+    ast.Or: operator.or_,
+    ast.BitAnd: operator.and_,
+    ast.BitOr: operator.or_,
+}
 
 
 def number(written: Any, where: str, names: Mapping[str, float]) -> float:
@@ -33,6 +48,8 @@ def number(written: Any, where: str, names: Mapping[str, float]) -> float:
         raise InputError(f"{where} is {written!r:.60}; give a number")
     try:
         found = written if not isinstance(written, str) else value(parsed(written), {**CONSTANTS, **names}, FUNCTIONS)
+        if isinstance(found, bool):
+            raise ValueError(written)
         found = float(found)
     except (SyntaxError, ArithmeticError, ValueError, TypeError, KeyError, RecursionError) as refused:
         what = f"{refused.args[0]!r} is unknown" if isinstance(refused, KeyError) else "no expression of numbers"
@@ -48,8 +65,8 @@ def parsed(written: str) -> ast.expr:
 
 
 def value(node: ast.expr, names: Mapping[str, Any], functions: Mapping[str, Callable[..., Any]]) -> Any:
-    """Return what a tree comes to; names may be numbers or arrays. KeyError for an unknown name, ValueError for what is no
-    arithmetic."""
+    """Return what a tree comes to; names may be numbers or arrays, comparisons are true or false. KeyError for an unknown name,
+    ValueError for what is no arithmetic."""
     match node:
         case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
             return float(number)
@@ -57,6 +74,14 @@ def value(node: ast.expr, names: Mapping[str, Any], functions: Mapping[str, Call
             return names[name]
         case ast.BinOp(left=left, op=op, right=right) if type(op) in OPERATORS:
             return OPERATORS[type(op)](value(left, names, functions), value(right, names, functions))
+        case ast.BinOp(left=left, op=op, right=right) if type(op) in LOGIC:
+            return LOGIC[type(op)](value(left, names, functions), value(right, names, functions))
+        case ast.BoolOp(op=op, values=parts):
+            return functools.reduce(LOGIC[type(op)], (value(part, names, functions) for part in parts))
+        case ast.Compare(left=left, ops=ops, comparators=comparators) if all(type(op) in COMPARISONS for op in ops):
+            sides = [value(part, names, functions) for part in (left, *comparators)]
+            pairs = zip(ops, sides, sides[1:], strict=False)
+            return functools.reduce(operator.and_, (COMPARISONS[type(op)](lower, upper) for op, lower, upper in pairs))
         case ast.UnaryOp(op=op, operand=operand) if type(op) in OPERATORS:
             return OPERATORS[type(op)](value(operand, names, functions))
         case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]) if name in functions:

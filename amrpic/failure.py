@@ -13,9 +13,8 @@ import traceback
 from types import TracebackType
 from typing import NoReturn, TextIO
 
-from mpi4py import MPI
-
 from .errors import AmrpicError, HierarchyError, InputError, SceneError
+from .mpi import MPI
 
 BAD_INPUT = 2  # exit status of what the user can correct in the input; any other failure is 1
 NOT_PRINTED = (errno.ENOSPC, errno.EPIPE, errno.EIO, errno.EBADF)  # what printing may meet; files have names besides

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from typing import Any, TypeVar, cast
 
 import numpy as np
-from mpi4py import MPI
 
 from . import _native
 from .errors import AmrpicError
 from .failure import BAD_INPUT, GRACE, Meeting, end_alone, end_scripts_together, is_over
+from .mpi import MPI
 
 
 class Communicator(MPI.Intracomm):

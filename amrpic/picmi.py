@@ -12,11 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import NDArray
 from pydantic import Field
 
+from .arithmetic import CONSTANTS, parsed, value
 from .errors import InputError
+from .mpi import MPI
 
 try:
     import picmistandard
@@ -187,8 +188,8 @@ class Simulation(picmistandard.PICMI_Simulation):
             "schedule": {"steps": self.max_steps or 1},
             "output": self._output(),
         }
-        for key, value in self.amrpic_scene.items():
-            data[key] = {**data.get(key, {}), **value} if isinstance(value, dict) else value
+        for key, section in self.amrpic_scene.items():
+            data[key] = {**data.get(key, {}), **section} if isinstance(section, dict) else section
         return Scene.from_dict(data)
 
     def run_of_scene(self) -> Run:
@@ -302,20 +303,19 @@ def _quiet(number: int, rng: np.random.Generator) -> Array:
     return (rng.random(3) + np.arange(number)[:, None] * steps) % 1.0
 
 
-NAMES = {name: getattr(np, name) for name in ("sqrt", "exp", "log", "sin", "cos", "tan", "tanh", "abs", "where", "pi")}
+FUNCTIONS = {name: getattr(np, name) for name in ("sqrt", "exp", "log", "sin", "cos", "tan", "tanh", "abs", "where")}
 
 
 def _values(expression: str, places: Array, parameters: dict[str, Any]) -> Array:
     """Return the values of an expression of x, y, z, parameters and functions of NumPy, such as "n0 * (x*x + y*y < R**2)"."""
     x, y, z = places.T
-    names = {**NAMES, **parameters, "x": x, "y": y, "z": z}
+    names = {**CONSTANTS, **parameters, "x": x, "y": y, "z": z}
     try:
-        value = eval(expression.replace("^", "**"), {"__builtins__": {}}, names)
-    except Exception as refused:
-        raise InputError(
-            f"the expression {expression!r:.80} has no value ({type(refused).__name__}: {refused})"
-        ) from None
-    return np.broadcast_to(np.asarray(value, dtype=float), len(places))
+        values = np.asarray(value(parsed(expression), names, FUNCTIONS), dtype=float)
+        return np.broadcast_to(values, len(places))
+    except (SyntaxError, ArithmeticError, ValueError, TypeError, KeyError, RecursionError) as refused:
+        why = f"{refused.args[0]!r} is unknown" if isinstance(refused, KeyError) else f"{refused}"
+        raise InputError(f"the expression {expression!r:.80} has no value: {why}") from None
 
 
 def _number(value: Any, default: float | None, what: str) -> float:

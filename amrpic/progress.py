@@ -14,9 +14,8 @@ import time
 from collections.abc import Callable, Iterator
 from typing import TextIO
 
-from mpi4py import MPI
-
 from .errors import InputError
+from .mpi import MPI
 
 VARIABLE = "AMRPIC_PROGRESS"
 PATIENCE = 3.0  # s of silence before the first report; each next one waits twice as long

@@ -37,6 +37,7 @@ NATIVE = {
     "external": {"base"},
     "particle": {"external", "mesh", "stencil", "base"},
     "processor": set(),
+    "one_rank": set(),
     "bind": {
         "solver",
         "kokkos",
@@ -64,13 +65,15 @@ CONFINED = {
     r"#include\s*<(MueLu|Belos|Ifpack2|Amesos2|Zoltan2|Xpetra)": {"solver"},
     r"#include\s*<(Tpetra|Teuchos)": {"base", "matrices", "solver"},
     r"\bParameterList\b": {"solver", "matrices"},  # there in tpetra.hpp, what differs between releases
-    r"\bMPI_(?!Comm_f2c|Wtime)\w+\(": {"base"},  # `Communicator` and `Messages` send, and count
+    r"\bMPI_(?!Comm_f2c|Wtime)\w+\(": {"base", "one_rank"},  # `Communicator` and `Messages` send, and count
     r"#include\s*[<\"](hdf5|H5)": set(),  # h5py brings an HDF5 of its own, Trilinos another
 }
 
 # ---- Python: modules and packages of `amrpic` from the bottom to the top; each may import those before it ----
 ORDER = (
     "errors",
+    "one_rank",
+    "mpi",
     "_processor",
     "isa",
     "_native",

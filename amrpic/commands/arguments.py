@@ -6,9 +6,8 @@ import argparse
 from collections.abc import Callable
 from typing import NoReturn
 
-from mpi4py import MPI
-
 from ..errors import InputError
+from ..mpi import MPI
 from ..parallel import from_rank_0, together
 from ..scene.any_scene import AnyScene, read_data, read_text
 from .methods import scene_from

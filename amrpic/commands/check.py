@@ -8,11 +8,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from mpi4py import MPI
-
 from ..errors import InputError
 from ..failure import BAD_INPUT
 from ..io import integrity
+from ..mpi import MPI
 from ..parallel import from_rank_0
 from ..scene.complaints import RefusedScene
 from .arguments import Commands, command, count, scene_arguments, scene_of

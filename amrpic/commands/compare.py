@@ -7,8 +7,7 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
-from mpi4py import MPI
-
+from ..mpi import MPI
 from ..parallel import from_rank_0
 from ..results.comparison import Comparison, Difference, compare
 from ..units import quantity

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import h5py
 import numpy as np
-from mpi4py import MPI
 
 from .. import _native, isa
 from ..errors import AmrpicError, SolverError
@@ -20,6 +19,7 @@ from ..mesh.domain import Domain
 from ..mesh.field import Field
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.patch import Patch
+from ..mpi import MPI, is_alone, under_mpiexec
 from ..parallel import global_max
 from ..stages.poisson import PoissonSolver
 from ..units import VACUUM_PERMITTIVITY
@@ -54,7 +54,7 @@ class Check:
 def examine(comm: MPI.Comm) -> list[Check]:
     """Return the checks of this machine, the same on all ranks. Collective.
 
-    Under mpiexec the solve runs on these ranks, otherwise on two processes that are started for it.
+    Under mpiexec the solve runs on these ranks, which could not start others; else on two processes that are started for it.
     """
     checks = [
         check("MPI", one_mpi_library, FIX_MPI),
@@ -87,7 +87,9 @@ def loaded(library: str) -> list[str]:
 
 
 def one_mpi_library() -> str:
-    """Return the MPI that mpi4py and the native module share; raise if there are two."""
+    """Return the MPI that mpi4py and the native module share, or that there is none; raise if there are two."""
+    if is_alone():
+        return "none, so one rank alone; for more: pip install mpi4py mpich"
     of_mpi4py, of_module = MPI.Get_library_version().splitlines()[0].strip("\0 ,"), _native.mpi_library().strip("\0 ,")
     files = loaded("libmpi.so") + loaded("libmpich.so")
     if of_mpi4py != of_module or len(files) != 1:
@@ -145,13 +147,10 @@ def patch_error(patch: Patch) -> float:
     return float(np.max(np.abs(patch.data - parabola(*patch.centres())), where=~patch.covered, initial=0.0))
 
 
-def under_mpiexec() -> bool:
-    """True if a launcher of MPI started this process; it could not start another."""
-    return any(name in os.environ for name in ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMIX_RANK"))
-
-
 def solve_on_two_ranks() -> str:
-    """Return what `solve_known` says in two processes that this one starts; raise if they fail."""
+    """Return what `solve_known` says in two processes that this one starts; raise if they fail. Without MPI, in this one."""
+    if is_alone():
+        return solve_known(MPI.COMM_SELF)
     code = "from mpi4py import MPI; from amrpic.commands import doctor; print(end=doctor.result_on_first_rank(MPI.COMM_WORLD))"
     command = ["mpiexec", "-n", "2", sys.executable, "-m", "mpi4py", "-c", code]
     # os.environ as Python found it: what MPI has since added to the environment would make the children's MPI fail.

@@ -7,10 +7,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from mpi4py import MPI
-
 from ..errors import InputError
 from ..lattice.convert import Converted
+from ..mpi import MPI
 from ..parallel import from_rank_0
 from ..scene.lattice_file import LatticeSection
 from .arguments import Commands, command

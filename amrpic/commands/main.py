@@ -9,9 +9,8 @@ import traceback
 from collections.abc import Sequence
 from importlib.metadata import version
 
-from mpi4py import MPI
-
 from ..failure import Meeting, replace_unprintable, sentence
+from ..mpi import MPI
 from ..progress import progress, reported
 from . import check, compare, doctor, lattice, plot, preview, report, run, scaling, scan, schema, verify, watch
 from .arguments import Parser

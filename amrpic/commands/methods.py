@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from mpi4py import MPI
-
 from ..errors import SceneError
+from ..mpi import MPI
 from ..pic import limits
 from ..pic.cut_metal import describe_scene
 from ..pic.simulation import Simulation

@@ -6,10 +6,9 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from mpi4py import MPI
-
 from ..errors import InputError, OutputError
 from ..io.field_reader import open_dump
+from ..mpi import MPI
 from ..parallel import together
 from ..scene.units import to_metres
 from ..view.draw import draw

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from mpi4py import MPI
 
 from ..errors import AmrpicError
 from ..io import vtkhdf_writer
@@ -20,6 +19,7 @@ from ..mesh.domain import AXES
 from ..mesh.field import Field
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.window import Window
+from ..mpi import MPI
 from ..particles.particles import Particles, concatenate
 from ..pic.adapt import follow, make_base
 from ..pic.course import Course

@@ -7,11 +7,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from mpi4py import MPI
 
 from ..mesh.domain import AXES, Domain
 from ..mesh.field import Field
 from ..mesh.hierarchy import Hierarchy
+from ..mpi import MPI
 from ..particles.particles import Particles
 from ..scene.scene import Scene
 from ..stages.diagnostics import moments

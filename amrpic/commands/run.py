@@ -5,11 +5,10 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from mpi4py import MPI
-
 from ..errors import InputError
 from ..io.checkpoint import UnreadableCheckpoint
 from ..io.checkpoint_folder import candidates
+from ..mpi import MPI
 from ..parallel import together
 from ..run.folder import prepare
 from ..run.life import Run

@@ -5,11 +5,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from mpi4py import MPI
-
 from ..drivers.evaluate import assignments
 from ..drivers.scans import PICTURE, SHOWN, TABLE, Row, combinations, drawn, scan, values_of
 from ..errors import InputError
+from ..mpi import MPI
 from ..scene.any_scene import read_data
 from .arguments import Commands, command, count
 from .methods import scene_from

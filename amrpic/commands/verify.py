@@ -5,9 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from mpi4py import MPI
-
 from ..errors import InputError, OutputError
+from ..mpi import MPI
 from ..parallel import together
 from ..scene.scene import Scene
 from .arguments import Commands, command

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
-from mpi4py import MPI
 
 from .. import _native
 from ..errors import InputError
 from ..mesh.domain import Domain
 from ..mesh.hierarchy import Hierarchy
+from ..mpi import MPI
 from ..parallel import own, together, world_by_default
 
 DEGREES = (1, 2, 3, 4)

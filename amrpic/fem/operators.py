@@ -6,11 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 import scipy
-from mpi4py import MPI
 from numpy.typing import ArrayLike
 
 from .. import _native
 from ..errors import InputError
+from ..mpi import MPI
 from ..parallel import together
 from .points import COMPONENTS, Points, checked_vector, shaped
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy
-from mpi4py import MPI
 from numpy.typing import ArrayLike
 
 from .. import _native
 from ..errors import InputError, SolverError
+from ..mpi import MPI
 from ..parallel import Communicator, own, share, together
 from ..units import VACUUM_PERMITTIVITY
 from .inputs import finite, points

@@ -20,11 +20,11 @@ from typing import Any
 
 import h5py
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..mesh.boxes import cells_of, equal_shares
+from ..mpi import MPI
 from ..parallel import share
 from . import shared_file
 from .atomic_files import publish, remove, require_seal, temporary

@@ -5,9 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from mpi4py import MPI
-
 from ..errors import InputError, OutputError
+from ..mpi import MPI
 from ..parallel import from_rank_0, together
 from .atomic_files import REPLACED, remove
 from .checkpoint import BEFORE_HDF5, STATE

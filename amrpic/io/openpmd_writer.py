@@ -13,12 +13,12 @@ from typing import Any
 
 import h5py
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import NDArray
 
 from ..errors import OutputError
 from ..mesh.domain import AXES
 from ..mesh.window import AT_REST, Window
+from ..mpi import MPI
 from ..particles.particles import Particles
 from ..particles.species import Species
 from . import shared_file

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import h5py
 import numpy as np
-from mpi4py import MPI
 
 from ..errors import InputError
+from ..mpi import MPI
 from . import shared_file
 from .openpmd_files import UNREADABLE
 from .provenance import Provenance

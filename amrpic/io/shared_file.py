@@ -17,10 +17,10 @@ from typing import Any
 
 import h5py
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import NDArray
 
 from ..errors import OutputError
+from ..mpi import MPI
 from .atomic_files import TEMPORARY, Hdf5Writer, publish, remove, require_seal, seal_of, temporary
 from .writer_ranks import (
     Attempts,

@@ -18,10 +18,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import NDArray
 
 from ..errors import InputError, OutputError
+from ..mpi import MPI
 from ..parallel import raise_together
 from ..units import Column
 from .atomic_files import publish, temporary

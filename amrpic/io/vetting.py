@@ -13,9 +13,8 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
-from mpi4py import MPI
-
 from ..errors import InputError
+from ..mpi import MPI
 from ..parallel import from_rank_0
 from . import vetting_child
 

@@ -13,12 +13,12 @@ from pathlib import Path
 
 import h5py
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import NDArray
 
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.window import AT_REST, Window
+from ..mpi import MPI
 from . import shared_file, yt_view
 from .atomic_files import publish, temporary
 from .provenance import Provenance

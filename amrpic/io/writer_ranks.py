@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import NDArray
 
 from ..errors import AmrpicError, OutputError
+from ..mpi import MPI
 from ..parallel import raise_together
 from ..scene.any_scene import AnyScene
 from ..scene.output import PART_BYTES

@@ -81,8 +81,8 @@ def _missing(element: PlacedPiece) -> list[str]:
 def _lacking(piece: LatticePiece) -> list[str]:
     out = list(piece.lacking)
     orders = {n for of in (piece.normal, piece.skew) for n, strength in of.items() if strength != 0}
-    if piece.kind == "bend" and orders:
-        out.append("field gradients on a curved orbit")
+    if piece.kind == "bend" and (any(piece.skew.values()) or orders - {1}):
+        out.append("multipoles on a curved orbit")
     if orders and max(orders) >= MULTIPOLES:
         out.append(f"multipoles of order {max(orders)}")
     return out
@@ -143,7 +143,10 @@ def _bend(piece: LatticePiece, length: float, reference: LatticeReference, _: Pl
     if curvature == 0:
         return None
     entrance, exit = (face - piece.angle / 2 for face in piece.faces)
+    gradient = reference.rigidity * piece.normal.get(1, 0.0)
     section = {"kind": "dipole", "field": curvature * reference.rigidity}
+    if gradient or any(piece.edge_integrals):
+        section |= {"turn": piece.angle, "gradient": gradient, "edge_integrals": list(piece.edge_integrals)}
     return section | {
         key: angle for key, angle in (("entrance_angle", entrance), ("exit_angle", exit)) if abs(angle) > 1e-15
     }

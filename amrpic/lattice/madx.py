@@ -108,13 +108,12 @@ def _bend(name: str, of: Mapping[str, Any], shared: dict[str, Any]) -> LatticePi
     h = angle / length if length else 0.0
     given = of.get("k0") if of.get("k0_from_h") in (None, False) else None
     normal, skew = _multipoles({**of, "k0": 0.0}, length)
-    fringes = any(
-        float(of.get(f"edge_{end}_fint", 0.0)) * float(of.get(f"edge_{end}_hgap", 0.0)) for end in ("entry", "exit")
+    integrals = tuple(
+        2 * float(of.get(f"edge_{end}_fint", 0.0)) * float(of.get(f"edge_{end}_hgap", 0.0)) for end in ("entry", "exit")
     )
-    if fringes:
-        shared = {**shared, "lacking": (*shared["lacking"], "fringe integrals")}
     curvature = h if given is None or isinstance(given, str) else float(given)
-    return LatticePiece(name, "bend", angle=angle, faces=faces, curvature=curvature, normal=normal, skew=skew, **shared)  # type: ignore[arg-type]
+    of_bend: dict[str, Any] = {"angle": angle, "faces": faces, "curvature": curvature, "edge_integrals": integrals}
+    return LatticePiece(name, "bend", normal=normal, skew=skew, **of_bend, **shared)
 
 
 def _multipoles(of: Mapping[str, Any], length: float) -> tuple[dict[int, float], dict[int, float]]:

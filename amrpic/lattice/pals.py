@@ -291,11 +291,8 @@ class _Element:
             self.file.refuse(f"{self.name} has the reference {geometry}, which is not understood; use arc or chord")
         length, angle = self.shape(piece.length, of)
         faces = self.faces(of, angle)
-        lacking = tuple(
-            what
-            for keys, what in ((("edge1_int", "edge2_int"), "fringe integrals"), (("h1", "h2"), "curved pole faces"))
-            if any(self.number(key, of, 0.0) for key in keys)
-        )
+        curved = any(self.number(key, of, 0.0) for key in ("h1", "h2"))
+        lacking: tuple[str, ...] = ("curved pole faces",) if curved else ()
         multipoles = self.multipoles(length)
         if multipoles.pop("tilt", 0.0):
             lacking += ("a tilted multipole",)
@@ -304,8 +301,10 @@ class _Element:
             lacking += ("a field in the plane of the bend",)
         curvature = (angle / length if length else 0.0) + more
         tilt = self.number("tilt_ref", of, 0.0)
+        entrance, exit = (2 * self.number(f"edge{end}_int", of, 0.0) for end in (1, 2))  # of half a gap there
+        integrals = (exit, entrance) if self.backwards else (entrance, exit)
         made = replace(piece, kind="bend", length=length, angle=angle, faces=faces, tilt=tilt, curvature=curvature)
-        return replace(made, lacking=lacking, **multipoles)
+        return replace(made, lacking=lacking, edge_integrals=integrals, **multipoles)
 
     def shape(self, length: float, of: Definition) -> tuple[float, float]:
         """Return length and angle, of which two of length, angle and curvature are given."""

@@ -33,6 +33,7 @@ class LatticePiece:
     angle: float = 0.0  # of a bend, towards -x, rad
     tilt: float = 0.0  # about the orbit, rad; a tilted bend bends in a tilted plane
     faces: tuple[float, float] = (0.0, 0.0)  # e1, e2 of a bend, from the normals of the orbit, rad
+    edge_integrals: tuple[float, float] = (0.0, 0.0)  # ∫ f (1 - f) ds of the fringes of a bend, m
     curvature: float | None = None  # of a bend's field, 1/m, if that is not angle/length
     normal: Mapping[int, float] = field(default_factory=dict)  # K_n, 1/m^(n+1), of thin pieces times length
     skew: Mapping[int, float] = field(default_factory=dict)

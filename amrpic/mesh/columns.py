@@ -5,8 +5,8 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-from mpi4py import MPI
 
+from ..mpi import MPI
 from .field import Field
 from .hierarchy import Hierarchy
 

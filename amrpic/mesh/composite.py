@@ -9,11 +9,11 @@ from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import NDArray
 
 from .. import _native
 from ..errors import InputError
+from ..mpi import MPI
 from .boxes import cells_of, table_of
 from .domain import AXES
 from .hierarchy import Hierarchy

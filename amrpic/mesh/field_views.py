@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import ArrayLike
 
 from .. import html
 from ..errors import InputError
+from ..mpi import MPI
 from ..units import quantity
 from . import exports
 from .composite import LiveFields

@@ -9,12 +9,12 @@ from functools import cached_property, partial
 from typing import cast
 
 import numpy as np
-from mpi4py import MPI
 
 from .. import _native, html
 from ..conductors.conductor import Conductor
 from ..conductors.refined import beside_edges, beside_surfaces
 from ..errors import HierarchyError, InputError
+from ..mpi import MPI
 from ..parallel import Communicator, VirtualRank, own, together, world_by_default
 from ..units import quantity
 from .boxes import cells_of, table_of

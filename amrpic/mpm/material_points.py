@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from mmap import MAP_ANONYMOUS, MAP_PRIVATE, mmap
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import ArrayLike
 
 from .. import _native
@@ -14,6 +13,7 @@ from ..errors import InputError, ParticleError
 from ..fem import Mesh, Points, gauss
 from ..fem.full import WALLS
 from ..fem.points import Weights
+from ..mpi import MPI
 from ..parallel import raise_together
 from .materials import Material, NeoHookean
 from .solid import Solid, determinants

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from mpi4py import MPI
 
 from ..io import vtkhdf_writer
 from ..io.field_reader import LiveDump
 from ..io.provenance import about
 from ..io.writer_ranks import writers_of
+from ..mpi import MPI
 from ..parallel import global_max
 from ..run.folder import prepare
 from ..run.machine import MIB, machine_memory

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
-from mpi4py import MPI
-
 from ..errors import AmrpicError, InputError, OutputError, SolverError
 from ..io import points_writer, vtkhdf_writer
 from ..io.checkpoint import Snapshot
+from ..mpi import MPI
 from ..parallel import together
 from ..run.log import Log, line_of
 from ..run.recorder import MeshFields, Recorder

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 
-from mpi4py import MPI
-
 from ..errors import SceneError
+from ..mpi import MPI
 from ..parallel import from_rank_0
 from ..run.machine import available_memory, machine_memory
 from .scene import Scene

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from mpi4py import MPI
 
 from ..fem.points import HIGHEST_DEGREE
 from ..mesh.domain import AXES, FACES
+from ..mpi import MPI
 from ..units import Column
 from .conditions import body_force, held_by, nodes_of
 from .damage import DamageReport, Settled

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from mpi4py import MPI
 
 from .. import fem
 from ..errors import SceneError
 from ..fem import Mesh, Points
+from ..mpi import MPI
 from ..parallel import global_sum, raise_together, together
 from .material_points import MaterialPoints
 from .scene import Scene

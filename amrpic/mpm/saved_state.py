@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from mpi4py import MPI
-
 from ..errors import InputError
 from ..io.checkpoint import Header, Snapshot, read, read_contents
 from ..io.provenance import about
+from ..mpi import MPI
 from ..scene.differences import differences, require_same
 from .scene import Scene
 from .state import LoadState, Plan

@@ -5,10 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Self
 
-from mpi4py import MPI
-
 from ..errors import InputError
 from ..io.checkpoint import Snapshot
+from ..mpi import MPI
 from ..parallel import world_by_default
 from ..run.life import Run
 from ..run.log import Log

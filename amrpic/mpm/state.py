@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from mpi4py import MPI
-
+from ..mpi import MPI
 from ..parallel import own
 from ..run.clock import Clock
 from .loads import Loads

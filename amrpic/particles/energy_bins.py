@@ -9,12 +9,12 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from mpi4py import MPI
 
 from ..errors import InputError
 from ..mesh.domain import AXES, Domain
 from ..mesh.mirror import SIGNS, Mirror, leaves_no_way_round, sides_along
 from ..mesh.window import vector
+from ..mpi import MPI
 from .arrays import empty_columns
 from .frame import LABORATORY, SLOW, STATIC, Frame
 from .motion_of_charge import Flow, Left, charges, flow, largest, left, mean_momentum, noise, rapidity, squares

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from mpi4py import MPI
 
+from ..mpi import MPI
 from ..units import SPEED_OF_LIGHT
 from .frame import Frame
 from .particles import Particles

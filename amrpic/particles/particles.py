@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from mpi4py import MPI
 
 from .. import _native
 from ..errors import ParticleError
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.window import AT_REST, Window
+from ..mpi import MPI
 from ..parallel import global_sum
 from ..units import SPEED_OF_LIGHT
 from .arrays import columns, empty_columns, recycled, zero_columns

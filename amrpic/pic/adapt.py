@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from mpi4py import MPI
 
 from ..mesh.hierarchy import Hierarchy
+from ..mpi import MPI
 from ..particles.particles import Particles
 from ..scene.scene import Scene
 from ..space_charge import self_field

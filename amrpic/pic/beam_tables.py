@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from mpi4py import MPI
 
 from ..errors import InputError
 from ..io.provenance import Provenance
 from ..io.time_series import Series
+from ..mpi import MPI
 from ..parallel import call_together
 from ..particles.groups import Groups
 from ..scene.scene import Scene

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
-from mpi4py import MPI
 
 from ..conductors.contacts import refuse_contacts
 from ..errors import InputError
+from ..mpi import MPI
 from ..parallel import from_rank_0
 from ..scene.electrodes import Electrode
 from ..scene.scene import Scene

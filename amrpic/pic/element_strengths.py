@@ -71,7 +71,12 @@ def _(element: QuadrupoleElement) -> Strength:
 
 @strength.register
 def _(element: DipoleElement) -> Strength:
-    return Strength(magnetic=abs(element.field), length=_shortest(element), smooth=element.fringe != "hard")
+    return Strength(
+        magnetic=abs(element.field),
+        magnetic_gradient=abs(element.gradient),
+        length=_shortest(element),
+        smooth=element.fringe != "hard",
+    )
 
 
 @strength.register

@@ -13,13 +13,13 @@ from functools import partial
 from typing import Generic, TypeVar
 
 import numpy as np
-from mpi4py import MPI
 
 from .. import _native
 from ..errors import InputError
 from ..io.birth_files import Births, read
 from ..mesh.columns import Columns
 from ..mesh.spot_on_wall import SpotOnWall
+from ..mpi import MPI
 from ..parallel import call_together, from_rank_0, share
 from ..particles.particles import Particles
 from ..particles.species import SpeciesTable

@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import ArrayLike
 
 from ..errors import InputError
 from ..mesh.window import Window
+from ..mpi import MPI
 from ..parallel import call_together
 from ..particles.arrays import empty_columns
 from ..particles.particles import Particles

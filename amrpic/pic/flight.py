@@ -6,13 +6,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from mpi4py import MPI
 
 from .. import _native
 from ..errors import ParticleError
 from ..mesh.domain import FACES
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.window import Window
+from ..mpi import MPI
 from ..particles.particles import Particles, concatenate, cut
 from ..scene.obstacles import aperture_names
 from ..scene.scene import Scene

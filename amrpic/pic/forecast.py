@@ -11,9 +11,8 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from statistics import median
 
-from mpi4py import MPI
-
 from ..errors import AmrpicError, OutputError
+from ..mpi import MPI
 from ..parallel import own, together
 from ..scene.bunches import LatticeBunch, Train
 from ..scene.output import Output

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from mpi4py import MPI
 
 from ..errors import InputError
 from ..mesh.domain import Domain
 from ..mesh.window import AT_REST, Window, part_of, vector
+from ..mpi import MPI
 from ..particles.energy_bins import ONE_FRAME, Frames, frames_of
 from ..particles.frame import LABORATORY
 from ..particles.motion_of_charge import charges

@@ -9,12 +9,12 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from mpi4py import MPI
 
 from ..errors import InputError
 from ..io import openpmd_reader
 from ..io.vetting import require_readable_on_all
 from ..mesh.domain import Domain
+from ..mpi import MPI
 from ..parallel import from_rank_0, share, together
 from ..particles.particles import Particles, concatenate
 from ..particles.phase_space import PhaseSpace

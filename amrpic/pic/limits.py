@@ -6,11 +6,10 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from mpi4py import MPI
-
 from ..errors import SceneError
 from ..external import ExternalFields
 from ..mesh.boxes import Array, cells_of
+from ..mpi import MPI
 from ..parallel import global_max, global_sum, node_of, raise_together
 from ..run.machine import available_memory, resident
 from ..scene.domain_section import LARGEST_INDEX

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from mpi4py import MPI
 
 from ..conductors.hits import first_hits
 from ..io import openpmd_writer, time_series
 from ..io.provenance import Provenance
 from ..io.writer_ranks import writers_of
+from ..mpi import MPI
 from ..results.run_results import LOSSES
 from ..scene.electrodes import Electrode
 from ..scene.scene import Scene

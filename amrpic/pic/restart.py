@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mpi4py import MPI
 
 from ..errors import InputError
 from ..io.checkpoint import Header, Snapshot, read, read_contents
@@ -19,6 +18,7 @@ from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.mirror import Mirror
 from ..mesh.window import vector
+from ..mpi import MPI
 from ..particles.arrays import repeated
 from ..particles.energy_bins import Charge, Frames
 from ..particles.frame import Frame

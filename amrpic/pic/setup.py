@@ -8,12 +8,12 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
-from mpi4py import MPI
 
 from .. import _native
 from ..errors import InputError
 from ..external import ExternalFields, Maps, read_maps
 from ..mesh.window import Window
+from ..mpi import MPI
 from ..parallel import from_rank_0, own
 from ..particles.clouds import EQUAL_PARTICLES, PAYING, Clouds, compensation_pays, matched_pays
 from ..particles.particles import Particles

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import ArrayLike
 
 from ..errors import InputError
@@ -19,6 +18,7 @@ from ..io.writer_ranks import writers_of
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.window import Window
+from ..mpi import MPI
 from ..parallel import together, world_by_default
 from ..particles.particles import Particles
 from ..run.clock import Clock

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from mpi4py import MPI
 
 from ..mesh.hierarchy import Hierarchy
+from ..mpi import MPI
 from ..run.clock import Spent
 from ..scene.scene import Scene
 from .adapt import follow, make_base, regrid_if_due

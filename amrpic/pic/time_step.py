@@ -8,11 +8,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from mpi4py import MPI
 
 from ..errors import InputError
 from ..mesh.domain import AXES
 from ..mesh.hierarchy import Hierarchy
+from ..mpi import MPI
 from ..parallel import from_rank_0
 from ..particles.clouds import Clouds
 from ..particles.energy_bins import Frames

@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import NDArray
 
 from ..io import openpmd_reader, particle_reader, points_writer, time_series
 from ..mesh.domain import AXES
 from ..mesh.field import Field, VectorField
 from ..mesh.periods import nearest
+from ..mpi import MPI
 from ..scene.differences import differences
 from ..units import SPEED_OF_LIGHT
 from .dumped_fields import DumpedFields

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-from mpi4py import MPI
 
 from ..errors import InputError
 from ..io.field_reader import Dump, open_dump
@@ -18,6 +17,7 @@ from ..mesh.field import Field, Holds, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.patch import Patch
 from ..mesh.window import AT_REST, Window
+from ..mpi import MPI
 from ..parallel import together
 from ..scene.scene import Scene
 

@@ -12,7 +12,6 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from mpi4py import MPI
 
 from .. import html
 from ..errors import InputError
@@ -21,6 +20,7 @@ from ..io.atomic_files import REPLACED, TEMPORARY
 from ..io.checkpoint import is_checkpoint
 from ..io.field_reader import open_dump
 from ..mesh.domain import AXES
+from ..mpi import MPI
 from ..parallel import own, share, together, world_by_default
 from ..particles.particles import Particles
 from ..scene.scene import Scene

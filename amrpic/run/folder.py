@@ -11,9 +11,8 @@ from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from types import TracebackType
 
-from mpi4py import MPI
-
 from ..errors import OutputError
+from ..mpi import MPI
 from ..parallel import together
 from ..scene.any_scene import AnyScene
 

@@ -7,12 +7,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Generic
 
-from mpi4py import MPI
-
 from ..errors import AmrpicError
 from ..io import checkpoint
 from ..io.checkpoint import Snapshot
 from ..io.writer_ranks import writers_of
+from ..mpi import MPI
 from ..results.run_results import Results
 from ..scene.any_scene import AnyScene
 from .folder import STOP, claimed

@@ -12,9 +12,8 @@ from datetime import timedelta
 from types import TracebackType
 from typing import Literal, TextIO
 
-from mpi4py import MPI
-
 from ..failure import discard, printable
+from ..mpi import MPI
 from ..progress import progress
 
 Log = Literal["print", "logging", "silent"]

@@ -5,8 +5,7 @@ from __future__ import annotations
 import resource
 from pathlib import Path, PurePath
 
-from mpi4py import MPI
-
+from ..mpi import MPI
 from ..parallel import global_sum, node_of
 
 MIB = 2**20

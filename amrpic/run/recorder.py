@@ -8,8 +8,6 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from types import TracebackType
 from typing import Generic, NamedTuple, Protocol, Self, TypeVar
 
-from mpi4py import MPI
-
 from .. import isa
 from ..errors import AmrpicError, InputError, OutputError
 from ..io import checkpoint, checkpoint_folder, vtkhdf_writer
@@ -22,6 +20,7 @@ from ..io.writer_ranks import writers_of
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.window import AT_REST, Window
+from ..mpi import MPI
 from ..parallel import together
 from ..results.run_results import SERIES
 from ..scene.any_scene import AnyScene

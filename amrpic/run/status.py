@@ -11,10 +11,9 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from importlib.metadata import version
 
-from mpi4py import MPI
-
 from ..failure import sentence
 from ..io.run_status import FAILED, FILE, RunStatus, known, now, stamp
+from ..mpi import MPI
 from ..scene.any_scene import AnyScene
 
 EVERY = 1.0  # s between two versions of the file

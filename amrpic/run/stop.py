@@ -10,9 +10,8 @@ from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any
 
-from mpi4py import MPI
-
 from ..failure import discard_unread
+from ..mpi import MPI
 
 SIGNALS = (
     signal.SIGUSR1,  # a batch system's warning ahead of time

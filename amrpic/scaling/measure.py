@@ -12,12 +12,12 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
-from mpi4py import MPI
 
 from ..errors import InputError
 from ..failure import Meeting, sentence
 from ..mesh.boxes import cells_of
 from ..mesh.hierarchy import Hierarchy
+from ..mpi import MPI
 from ..parallel import own, together
 from ..pic.simulation import Simulation
 from ..run.clock import Spent

@@ -11,10 +11,9 @@ import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from mpi4py import MPI
-
 from ..errors import InputError, OutputError
 from ..mesh.boxes import scaled_cells
+from ..mpi import MPI
 from ..scene.scene import Scene
 from .measured import MeasuredRun
 

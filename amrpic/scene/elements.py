@@ -177,6 +177,34 @@ class DipoleElement(FringedElement):
     exit_angle: Angle = Field(
         default=0.0, gt=-1.5, lt=1.5, description="Of the pole face at its high z, rad; positive: shorter at x > 0."
     )
+    turn: Angle = Field(
+        default=0.0,
+        gt=-3.0,
+        lt=3.0,
+        description="Of the orbit towards -x, rad: that of the arc which the gradient is about.",
+    )
+    gradient: MagneticGradient = Field(
+        default=0.0, description="Of B_y outwards, about the arc through the middles of both hard faces, T/m."
+    )
+    edge_integrals: tuple[Length, Length] = Field(
+        default=(0.0, 0.0),
+        description="Of the fringes that hard faces stand for, ∫ f (1 - f) ds, m: 2 fint hgap of MAD-X. They take focusing "
+        "across the bend away, for particles that turn by `turn`.",
+    )
+
+    @model_validator(mode="after")
+    def _of_hard_faces(self) -> Self:
+        for key, value, absent in (
+            ("gradient", self.gradient, 0.0),
+            ("edge_integrals", self.edge_integrals, (0.0, 0.0)),
+        ):
+            if value != absent and self.fringe != "hard":
+                raise complaint(
+                    "is for hard faces alone", 'set fringe = "hard", or leave it out', path=key, found=value
+                )
+        if self.edge_integrals != (0.0, 0.0) and self.turn == 0:
+            raise complaint("is missing", "give the angle by which the orbit turns", path="turn", found=0.0)
+        return self
 
 
 Strengths = Annotated[list[float], Field(max_length=6)]

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from mpi4py import MPI
 
 from .. import _native
 from ..mesh.field import VectorField
 from ..mesh.hierarchy import Hierarchy
+from ..mpi import MPI
 from ..parallel import Communicator
 from ..particles.arrays import empty_columns, recycled, zero_columns
 from ..particles.clouds import Clouds

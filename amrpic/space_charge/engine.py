@@ -7,13 +7,13 @@ from collections.abc import Callable, Sequence
 from typing import Any, Literal
 
 import numpy as np
-from mpi4py import MPI
 from pydantic import ValidationError
 
 from ..errors import AmrpicError, HierarchyError, InputError
 from ..mesh.domain import Domain
 from ..mesh.field import VectorField
 from ..mesh.hierarchy import Hierarchy
+from ..mpi import MPI
 from ..parallel import Communicator, own, together
 from ..particles.clouds import SHAPES, Clouds, Shape, are_cubes, compensation_pays, matched_pays
 from ..particles.particles import Particles
@@ -29,6 +29,7 @@ from .charge_on_mesh import ChargeOnMesh, Memory
 from .placing import Coordinates, Extent, Placing, extent_of, levels_for, sizes_of
 
 NOWHERE = (ColumnSums(),) * 3
+LARGEST_DENSITY = 1e270  # C/m³; potential and field need some powers of ten above it
 
 
 class SpaceCharge:
@@ -254,6 +255,7 @@ class SpaceCharge:
         levels = levels_for(domain, rms, extent.count) if self._auto_levels else self._levels
         memory.refinement = memory.refinement.model_copy(update={"levels": levels})
         widths = domain.spacing / 2**levels
+        _require_density(extent, widths)
         pays = compensation_pays(number, rms / widths, self._shape)
         compensation = ("clouds-and-mesh" if pays else "none") if self._compensation == "auto" else self._compensation
         matched = levels > 0 and matched_pays(number, rms / widths)
@@ -305,6 +307,16 @@ class SpaceCharge:
 
 def _unpickled(settings: dict[str, Any], alone: bool) -> SpaceCharge:
     return SpaceCharge(**{**settings, "comm": MPI.COMM_SELF if alone else None})
+
+
+def _require_density(extent: Extent, widths: np.ndarray) -> None:
+    """Raise InputError where all charge in one cell has a density that double precision does not hold with its field."""
+    if extent.magnitude > 0 and np.log10(extent.magnitude) - np.log10(widths).sum() > np.log10(LARGEST_DENSITY):
+        size = float((extent.upper - extent.lower).max())
+        raise InputError(
+            f"the particles, of {extent.magnitude:.3g} C in all, lie within {size:.3g} m, where double precision does not hold "
+            "their density; give places in m and charges in C"
+        )
 
 
 def _domain(domain: Any, cells: Any) -> tuple[Domain | None, tuple[int, int, int] | None]:

@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from mpi4py import MPI
 
 from ..errors import ParticleError
+from ..mpi import MPI
 from ..parallel import share
 from ..particles.particles import Particles
 from ..particles.phase_space import PhaseSpace

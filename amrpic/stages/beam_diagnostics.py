@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import NDArray
 
 from .. import _native
 from ..mesh.domain import AXES, Domain
+from ..mpi import MPI
 from ..particles.equivalent_beam import ellipsoid_gradient, line_gradient, tune_depression
 from ..particles.groups import Groups, layers
 from ..particles.images import NO_IMAGES, Images, periods

@@ -7,12 +7,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from mpi4py import MPI
 
 from .. import _native
 from ..mesh.domain import AXES, Domain
 from ..mesh.field import Compensation, Field, VectorField
 from ..mesh.hierarchy import Hierarchy
+from ..mpi import MPI
 from ..parallel import global_sum, global_sums_and_largest
 from ..particles.images import Images, periods
 from ..particles.particles import Particles

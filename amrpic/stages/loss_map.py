@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from mpi4py import MPI
 
 from ..mesh.boxes import unique_rows
+from ..mpi import MPI
 from ..particles.particles import Particles
 from ..units import Column
 

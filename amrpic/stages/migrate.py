@@ -10,11 +10,11 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from mpi4py import MPI
 
 from .. import _native
 from ..errors import ParticleError
 from ..mesh.hierarchy import Hierarchy
+from ..mpi import MPI
 from ..parallel import raise_together, together
 from ..particles.arrays import empty_columns, recycled
 from ..particles.particles import Particles, Sorting, emptied, joined, one_weight_and_most

@@ -11,7 +11,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from mpi4py import MPI
 
 from .. import _native
 from ..conductors.conductor import Conductor
@@ -21,6 +20,7 @@ from ..mesh.domain import Domain
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.periods import nearest
+from ..mpi import MPI
 from ..parallel import raise_together, together
 from ..particles.particles import Particles
 

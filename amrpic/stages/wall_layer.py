@@ -10,10 +10,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from mpi4py import MPI
 
 from ..mesh.columns import READ, Columns
 from ..mesh.field import Field
+from ..mpi import MPI
 from ..particles.clouds import Shape
 from ..particles.particles import Particles
 from ..particles.wall_response import WallResponse

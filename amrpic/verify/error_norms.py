@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from mpi4py import MPI
 
 from ..mesh.field import Field
+from ..mpi import MPI
 
 Exact = Callable[[np.ndarray, np.ndarray, np.ndarray], "np.ndarray | tuple[np.ndarray, ...]"]
 

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any, Literal, Self
 
 import numpy as np
-from mpi4py import MPI
 
 from .. import _native
 from ..mesh.boxes import scaled_cells
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
+from ..mpi import MPI
 from ..particles.particles import concatenate
 from ..pic.adapt import follow, make_base
 from ..pic.frames import first_frames

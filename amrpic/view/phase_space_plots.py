@@ -11,12 +11,12 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.patheffects import Normal, Stroke
-from mpi4py import MPI
 from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..io.particle_reader import ParticleDump, read
 from ..mesh.pictures import DECADES, ONE_SIGN, divisor
+from ..mpi import MPI
 from ..particles.groups import Groups
 from ..particles.particles import Particles
 from ..stages.beam_diagnostics import Beam, PartMoments, Slice, group_slices, moments_by_kind

@@ -132,14 +132,19 @@ void bind_external(nb::module_& m) {
   nb::class_<Dipole>(m, "DipoleField")
       .def(
           "__init__",
-          [](Dipole* self, Real field, Real half, Enge const& fringe, std::array<Real, 2> angle) {
+          [](Dipole* self, Real field, Real half, Enge const& fringe, std::array<Real, 2> angle, Real gradient,
+             Real turn, std::array<Real, 2> lost) {
             new (self) Dipole{field,
                               half,
                               fringe,
                               {std::sin(angle[0]), std::sin(angle[1])},
-                              {std::cos(angle[0]), std::cos(angle[1])}};
+                              {std::cos(angle[0]), std::cos(angle[1])},
+                              gradient,
+                              turn,
+                              lost};
           },
-          "field"_a, "half"_a, "fringe"_a, "angle"_a = std::array<Real, 2>{});
+          "field"_a, "half"_a, "fringe"_a, "angle"_a = std::array<Real, 2>{}, "gradient"_a = 0.0, "turn"_a = 0.0,
+          "lost"_a = std::array<Real, 2>{});
   nb::class_<Multipole>(m, "MultipoleField")
       .def(
           "__init__",

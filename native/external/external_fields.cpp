@@ -140,7 +140,7 @@ bool is_uniform(Of const&) {
   return false;
 }
 bool is_uniform(Uniform const&) { return true; }
-bool is_uniform(Dipole const& of) { return of.is_hard(); }
+bool is_uniform(Dipole const& of) { return of.is_hard() && of.gradient == 0; }
 bool is_uniform(Solenoid const& of) { return of.is_hard(); }
 
 /// Add one field at places that all lie inside its extent, whose axes are those of the laboratory.

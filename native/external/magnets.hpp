@@ -86,12 +86,15 @@ Fields<V> field(Multipole const& of, Vector3<V> const& at, T const&) {
 /// B = ∇ψ, ψ = B0 (y f - y³ Δf / 6): curl B = 0, and div B = -B0 y³ ΔΔf / 6. Positive particles that move along +z turn
 /// to -x. Hard edges: f is a step, ∇f its δ, which focuses vertically those that cross the edge at an angle. With
 /// turned pole faces, f is the product of two profiles, each along the normal of its face; a positive angle makes the
-/// magnet shorter at x > 0.
+/// magnet shorter at x > 0. With hard edges there may be a gradient G about an arc through the middles of both faces:
+/// at a distance u outside of its radius, B_y = B0 + G (u - y²/(2r)) and B_r = G y, so that div B = 0.
 struct Dipole {
   Real B0;    ///< T
   Real half;  ///< length, m
   Enge fringe;
   std::array<Real, 2> sine{}, cosine{1, 1};  ///< of the angles of the faces where z is lowest and highest
+  Real gradient = 0, turn = 0;               ///< T/m; of the arc, towards -x, rad
+  std::array<Real, 2> lost{};  ///< of hard faces: by how much less they rise with x for what they do across
   static constexpr bool has_edges = true;
   bool is_hard() const { return fringe.hard(); }
   static constexpr bool electric() { return false; }
@@ -117,9 +120,26 @@ Fields<V> between_turned_faces(Dipole const& of, Vector3<V> const& at) {
            By * (cosine[1] * by_out - cosine[0] * by_in)}};
 }
 
+/// The gradient of a dipole, about its arc or, where that does not turn, its axis.
+template <class V>
+Vector3<V> gradient_field(Dipole const& of, Vector3<V> const& at) {
+  auto const& [x, y, z] = at;
+  Real const G = of.gradient;
+  if (of.turn == 0) return {G * y, G * x, V{}};
+  Real const radius = of.half / std::sin(of.turn / 2),
+             side = radius > 0 ? 1 : -1;  // signed, as the distance r from the centre of the arc
+  V const from_centre = x + radius * std::cos(of.turn / 2), r_square = from_centre * from_centre + z * z;
+  V const r = square_root(r_square) * side, outside = (r_square - radius * radius) / (r + radius);
+  return {G * y * from_centre / r, G * (outside - y * y / (2 * r)), G * y * z / r};
+}
+
 template <class V, class T>
 Fields<V> field(Dipole const& of, Vector3<V> const& at, T const&) {
-  if (of.is_hard()) return {{}, {V{}, V{} + of.B0, V{}}};
+  if (of.is_hard()) {
+    Vector3<V> B{V{}, V{} + of.B0, V{}};
+    if (of.gradient != 0) B = sum(B, gradient_field(of, at));
+    return {{}, B};
+  }
   V const y = at[1], yy = y * y;
   if (of.sine != std::array<Real, 2>{}) return between_turned_faces(of, at);
   auto const f = profile<V>(of.fringe, of.half, at[2]);
@@ -129,7 +149,7 @@ Fields<V> field(Dipole const& of, Vector3<V> const& at, T const&) {
 template <class V>
 Vector3<V> edge_field(Dipole const& of, Plane const& plane, Vector3<V> const& at) {
   V const along = of.B0 * at[1];
-  return {0 - plane.slope * along, V{}, along};
+  return {(of.lost[plane.place > 0] - plane.slope) * along, V{}, along};
 }
 
 /// Hard edges: B_z = B0 between two planes, B_r = -(r/2) B_z'. With a radius R the thin winding of a coil: on the axis

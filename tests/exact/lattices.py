@@ -70,8 +70,8 @@ def matrix(ends: np.ndarray) -> np.ndarray:
     return ((ends[1:7] - ends[7:]) / (2 * STEPS)[:, None]).T
 
 
-def tracked(file: Path, dt: float, from_end: float = FROM_END) -> np.ndarray:
-    """Where `starts` come to at the end of a lattice, (13, 6), by a run without charge with about this time step (s).
+def tracked(file: Path, dt: float | None = None, from_end: float = FROM_END) -> np.ndarray:
+    """Where `starts` come to at the end of a lattice, (13, 6), by a run without charge with about this step (s), or "auto".
 
     It goes to so many m before the end, in a drift."""
     of = LatticeSection(file=str(file)).converted()
@@ -84,11 +84,10 @@ def tracked(file: Path, dt: float, from_end: float = FROM_END) -> np.ndarray:
     places += velocity * (begin[:, 4] / reference.speed)[:, None]
     length = sum(one.piece.length for one in of.placed)
     time = (length - from_end) / reference.speed
-    steps = int(np.ceil(time / dt))
     scene: dict[str, Any] = {
         "domain": {"lower": -0.05, "upper": 0.05, "cells": 8, "boundary": "open"},
         "lattice": str(file),
-        "motion": {"kind": "leapfrog", "window": "reference", "dt": time / steps},
+        "motion": {"kind": "leapfrog", "window": "reference", "dt": "auto"},
         "bunches": [
             {
                 "distribution": "arrays",
@@ -98,10 +97,14 @@ def tracked(file: Path, dt: float, from_end: float = FROM_END) -> np.ndarray:
                 "momenta": momenta.tolist(),
             }
         ],
-        "schedule": {"steps": steps},
+        "schedule": {"steps": 1},
         "output": {"directory": str(file.parent / "run"), "write": []},
     }
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+        if dt is None:
+            dt = amrpic.Simulation(MPI.COMM_SELF, amrpic.Scene.from_dict(scene)).advance().time
+        steps = int(np.ceil(time / dt))
+        scene["motion"]["dt"], scene["schedule"]["steps"] = time / steps, steps
         run = amrpic.Simulation(MPI.COMM_SELF, amrpic.Scene.from_dict(scene))
         run.run()
     seen = run.particles.in_laboratory(run.window)

@@ -74,6 +74,7 @@ def test_numbers_may_be_expressions(tmp_path):
         ("- q: {kind: Bend, length: 0.1, BendP: {angle_ref: 0.1, g_ref: 3}}", "by its curvature"),
         ("- q: {kind: Drift, length: os.system(1)}", "no expression"),
         ("- q: {kind: Drift, length: unknown}", "unknown"),
+        ("- q: {kind: Drift, length: 1 < 2}", "no expression"),
         ("- q: {inherit: nothing}", "not defined"),
         ("- q", "no definition"),
         ("- load: {file: other}", "not understood"),
@@ -92,7 +93,7 @@ def test_what_has_no_counterpart_is_refused_by_name_and_place_or_is_a_drift(tmp_
         HEAD
         + """
     - w: {kind: Wiggler, length: 0.3}
-    - m: {kind: Bend, length: 0.5, BendP: {angle_ref: 0.2, edge1_int: 0.01}}
+    - m: {kind: Bend, length: 0.5, BendP: {angle_ref: 0.2, h1: 0.1}}
     - all: {kind: BeamLine, line: [begin, a: {kind: Drift, length: 0.5}, w, m]}
 """,
     )
@@ -100,7 +101,7 @@ def test_what_has_no_counterpart_is_refused_by_name_and_place_or_is_a_drift(tmp_
         LatticeSection(file=str(file)).converted()
     of = LatticeSection(file=str(file), missing="drift").converted()
     assert [element["kind"] for element in of.elements] == ["dipole"]
-    assert of.placed[-1].became == ["dipole", "without fringe integrals"]
+    assert of.placed[-1].became == ["dipole", "without curved pole faces"]
     assert of.placed[2].became == ["drift"]
 
 
@@ -164,19 +165,14 @@ CELL = """
 def transverse() -> np.ndarray:
     """x and y (2, 2, 2) of a cell: drifts, quadrupoles, sectors (K. L. Brown, SLAC-75)."""
 
-    def magnet(length: float, k: float) -> np.ndarray:
-        w = np.sqrt(complex(k))
-        c, s = np.cos(w * length), np.sin(w * length) / w if k else length
-        return np.array([[c, s], [-k * s, c]]).real
-
     h = 0.2617993877991494 / 0.5
     out = []
     for sign, weak in ((1, h**2), (-1, 0.0)):
         half, drift, middle, sector = (
-            magnet(0.1, sign * 2.5),
-            magnet(0.2, 0),
-            magnet(0.2, -sign * 2.5),
-            magnet(0.5, weak),
+            thick(0.1, sign * 2.5),
+            thick(0.2, 0),
+            thick(0.2, -sign * 2.5),
+            thick(0.5, weak),
         )
         out.append(half @ drift @ sector @ drift @ middle @ drift @ sector @ drift @ half)
     return np.array(out)
@@ -237,6 +233,38 @@ def test_transfer_matrices_are_those_of_xtrack(tmp_path, monkeypatch):
     # of the cavity, which here focuses across as well: 1.5e-5 for each m of its arms
     assert np.abs(found - expected).max() < 1e-4
     assert found[5, 4] == pytest.approx(expected[5, 4], rel=0.02)
+
+
+def thick(length: float, k: float) -> np.ndarray:
+    """The matrix (2, 2) of a length with a focusing strength, 1/m² (K. L. Brown, SLAC-75)."""
+    w = np.sqrt(complex(k))
+    c, s = np.cos(w * length), np.sin(w * length) / w if k else length
+    return np.array([[c, s], [-k * s, c]]).real
+
+
+@pytest.mark.parametrize("angle", [0.2, -0.2])
+def test_bends_have_gradients_and_fringes(tmp_path, angle):
+    """Of their matrices (K. L. Brown, SLAC-75): h² + k in the plane of the bend and -k across it, tan(e - ψ) at the faces."""
+    k, faces, integral = 0.8, (0.15, 0.1), 0.03
+    of = f"angle_ref: {angle}, e1: {faces[0]}, e2: {faces[1]}, edge1_int: {integral / 2}, edge2_int: {integral / 2}"
+    text = (
+        HEAD
+        + f"""
+    - m: {{kind: Bend, length: 0.5, BendP: {{{of}}}, MagneticMultipoleP: {{Kn1: {k}}}}}
+    - all: {{kind: BeamLine, line: [begin, a: {{kind: Drift, length: 0.2}}, m, b: {{kind: Drift, length: 0.4}}]}}
+"""
+    )
+    found = matrix(tracked(written(tmp_path, text), 1e-10))
+    h = angle / 0.5
+    for plane, strength in enumerate((h**2 + k, -k)):
+        expected = thick(0.2, 0.0)
+        for part, e in ((None, faces[0]), (thick(0.5, strength), None), (None, faces[1]), (thick(0.4, 0.0), None)):
+            if e is not None:
+                psi = h * integral * (1 + np.sin(e) ** 2) / np.cos(e)
+                part = np.array([[1, 0], [h * np.tan(e) if plane == 0 else -h * np.tan(e - psi), 1]])
+            expected = part @ expected
+        rows = slice(2 * plane, 2 * plane + 2)
+        assert found[rows, rows] == pytest.approx(expected, abs=1e-4)
 
 
 def test_a_line_of_steps_of_second_order(tmp_path):

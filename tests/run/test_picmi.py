@@ -111,3 +111,26 @@ def test_what_is_not_there_is_refused(picmi):
     other = picmi.Simulation(solver=picmi.ElectrostaticSolver(grid=grid), time_step_size=1e-9, max_steps=1)
     with pytest.raises(InputError, match="boundary along x"):
         other.scene()
+
+
+@pytest.mark.parametrize(
+    "expression, expected",
+    [
+        ("n0 * (x*x + y^2 < 1)", [2.0, 0.0]),
+        ("n0 * (-1 < x <= 1) * z", [6.0, 0.0]),
+        ("where(x > 1 and y == 3, 5, pi)", [np.pi, 5.0]),
+        ("n0", [2.0, 2.0]),
+    ],
+)
+def test_expressions_compare_and_choose(picmi, expression, expected):
+    places = np.array([[0.0, 0.5, 3.0], [2.0, 3.0, 4.0]])
+    assert picmi._values(expression, places, {"n0": 2.0}) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    "expression, what",
+    [("__import__('os')", "no value"), ("n1 * x", "'n1' is unknown"), ("x.T", "no value"), ("x +", "no value")],
+)
+def test_what_is_no_expression_is_refused(picmi, expression, what):
+    with pytest.raises(InputError, match=what):
+        picmi._values(expression, np.zeros((2, 3)), {})

@@ -168,9 +168,11 @@ def test_a_scene_is_an_object_of_lume(scene, tmp_path):
 
     other = Amrpic()
     other.load_archive(made.archive())
-    assert (other.input, other.output, other.path) == (made.input, output, made.path)
+    assert (other.input, other.path) == (made.input, made.path)
+    same = pytest.approx(output, rel=0, abs=0, nan_ok=True)  # there is no s without a reference particle
+    assert other.output == same
     with h5py.File(tmp_path / "many.h5", "w") as file:
-        assert json.loads(made.archive(file.create_group("one")).attrs["output"]) == output
+        assert json.loads(made.archive(file.create_group("one")).attrs["output"]) == same
 
     made.input["bunches.0.charg"] = 1
     with pytest.raises(SceneError, match='did you mean "charge"'):

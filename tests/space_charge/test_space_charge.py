@@ -314,6 +314,7 @@ BAD = {
     "1e300": lambda p: p.field([0.0, 1e300], [0.0, 1.0], [0.0, 1.0], 1.0),
     "nan charge": lambda p: p.field([0.0, 1.0], [0.0, 1.0], [0.0, 1.0], np.nan),
     "charge of 1e300": lambda p: p.field([0.0, 1e-9], [0.0, 1.0], [0.0, 1.0], 1e300),
+    "sizes of 1e-150 m": lambda p: p.field([0.0, 1e-150], [0.0, 2e-150], [0.0, 0.0], 1e-9),
     "masked": lambda p: p.field(np.ma.masked_array([0.0], [True]), [0.0], [0.0], 1.0),
     "alive of another length": lambda p: p.field([0.0], [0.0], [0.0], 1.0, alive=np.ones(2, dtype=bool)),
     "alive of numbers": lambda p: p.field([0.0], [0.0], [0.0], 1.0, alive=[1]),

@@ -138,7 +138,7 @@ class OfSurface(Emitter[SurfaceKind]):
         momentum = np.stack([*across, normal], axis=1) @ self._axes
         weight = self.weights(number, span)
         newborn = Particles(position, momentum, weight, number + self.first, species)
-        born = (span.start <= time) & (time < span.stop) & (weight > 0) & self.holds(places)
+        born = (span.start <= time) & (time < span.stop) & (weight > 0)
         return self.limited(newborn.select(np.flatnonzero(born)), comm, span)
 
     def limited(self, newborn: Particles, comm: MPI.Comm, span: Span) -> Particles:
@@ -149,10 +149,6 @@ class OfSurface(Emitter[SurfaceKind]):
         """Return places (2, n) of particles on the surface, m: those of the source, if it says where."""
         lower, upper = self.extent
         return lower[:, None] + (upper - lower)[:, None] * u if of_source is None else of_source
-
-    def holds(self, places: np.ndarray) -> np.ndarray:
-        """Return whether the surface emits at places (2, n)."""
-        return np.ones(places.shape[1], dtype=bool)
 
     def pull(self, span: Span) -> np.ndarray:
         """Return how the field pulls particles off the part of each face of the wall that emits, V/m; negative: it pushes."""
@@ -263,17 +259,13 @@ class OfWall(OfSurface[WallSource]):
 
     def places(self, number: np.ndarray, of_source: np.ndarray | None, u: np.ndarray, span: Span) -> np.ndarray:
         """Those of a step are the same parts of each face: clouds of even charge then leave it even, without noise."""
-        columns, column = self._columns(span), self._column(number, span)
         start = self.draws(span.used, span.used + 1)[:2]
         parts = (start + EVENLY[:, None] * ((number - span.used) % self.source.per_face)) % 1.0
-        return columns.corner[column][:, self._across].T + columns.width[column][:, self._across].T * parts
-
-    def holds(self, places: np.ndarray) -> np.ndarray:
-        return super().holds(places) if self.source.spot is None else self.source.spot.holds(places)
+        return self._spot(span).places(self._column(number, span), parts)
 
     def weights(self, number: np.ndarray, span: Span) -> np.ndarray:
-        column, columns = self._column(number, span), self._columns(span)
-        charge = self.surface_charge(column, span) * columns.area[column]
+        column = self._column(number, span)
+        charge = self.surface_charge(column, span) * self._spot(span).area[column]
         return charge / (abs(self.source.species.charge) * self.source.per_face)
 
     def surface_charge(self, column: np.ndarray, span: Span) -> np.ndarray:
@@ -284,13 +276,13 @@ class OfWall(OfSurface[WallSource]):
         most = VACUUM_PERMITTIVITY * np.maximum(pull, 0.0)
         return np.minimum(supplied, most) if self.source.is_limited else supplied
 
-    def _columns(self, span: Span) -> Columns:
+    def _spot(self, span: Span) -> SpotOnWall:
         assert span.layer is not None
-        return span.layer.columns
+        return self.on_wall(span.layer.columns)
 
     def _emitting(self, span: Span) -> np.ndarray:
         """Return the columns with a face that reaches into the spot; none where the window has left the wall."""
-        return np.zeros(0, dtype=np.int64) if span.layer is None else self.on_wall(span.layer.columns).emitting
+        return np.zeros(0, dtype=np.int64) if span.layer is None else self._spot(span).emitting
 
     def _column(self, number: np.ndarray, span: Span) -> np.ndarray:
         return self._emitting(span)[(number - span.used) // self.source.per_face]

@@ -83,7 +83,9 @@ def _sorted(state: State, spans: Sequence[Span], setup: Setup) -> Particles:
 
 def _flown(state: State, newborn: Particles, left: np.ndarray, setup: Setup) -> Particles:
     """Return particles after a flight of `left` (n,) s to the next state, and seen as older ones are then. Collective."""
-    halfway, momentum = (kicked(state, newborn, time, setup).momentum for time in (left / 2, left - setup.dt / 2))
+    halfway, momentum = (
+        kicked(state, newborn, time, setup).momentum for time in (left / 2, left - state.staggered.dt / 2)
+    )
     mass, position = newborn.mass, empty_columns(len(newborn))
     gamma = np.sqrt(1 + np.square(halfway / (mass * SPEED_OF_LIGHT)[:, None]).sum(axis=1))
     position[...] = newborn.position + halfway * (left / (gamma * mass))[:, None]

@@ -58,8 +58,8 @@ def births(state: State, setup: Setup) -> Born | None:
 
 def _span(state: State, stop: float, number: int, setup: Setup) -> Span:
     """Return what a source knows of a step."""
-    face = setup.emitters[number].source.face_number
-    layer = None if face is None else state.solution.layers.get(face)
+    surface = setup.emitters[number].source.surface
+    layer = None if surface is None else state.solution.layers.get(surface)
     external = setup.external.seen_from(state.window) if setup.scene.elements else None
     added = None if external is None else lambda places: external.fields(places, state.time)[0]
     return Span(state.time, stop, state.tallies.of[number].used, layer, added)

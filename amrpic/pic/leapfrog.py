@@ -140,7 +140,7 @@ def _push(
     if solution.layers:
         electric = np.zeros((len(particles), 3)) if electric is None else electric
         for layer in solution.layers.values():
-            layer.correct(electric, particles, setup.clouds.shape)
+            layer.correct(electric, particles, setup.clouds)
     return push(
         solution.efield,
         particles,

@@ -214,7 +214,7 @@ def _of_sources(solution: Solution, setup: Setup, time: float) -> Iterator[Proce
             PER_PASSAGE,
             LEAST_PER_PASSAGE,
         )
-        if layer := solution.layers.get(-1 if face is None else face):
+        if layer := solution.layers.get(-1 if source.surface is None else source.surface):
             pull = abs(source.species.charge) / mass * np.abs(layer.at_wall).max(initial=0.0)
             first = math.sqrt(_time(2 * width / 2**levels, pull))
             yield Process(

@@ -105,8 +105,9 @@ class Leapfrog(Section):
         default=0.0,
         ge=0,
         le=0.2,
-        description="Part by which a step may be longer than the one before it. Every ten steps the rules of auto, with at "
-        "most 100 steps per process, say how long steps may be by then; they are never shorter than dt. 0: all steps are equal.",
+        description="Part by which a step may be longer than the one before it. Every ten steps the rules of auto, with "
+        "at most 100 steps per process, say how long steps may be by then; they are never shorter than dt. "
+        "0: all steps are equal.",
     )
     longest: Time | None = Field(default=None, gt=0, description="Time step that they do not outgrow, s.")
 

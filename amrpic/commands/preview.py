@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import math
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -200,13 +201,19 @@ def _births(setup: Setup, start: float) -> tuple[list[int], list[str]]:
     scene, dt = setup.scene, setup.scene.motion.dt
     if not isinstance(dt, float):
         return [], []
-    stop = start + scene.schedule.last_step * dt
+    stop = start + _duration(scene, dt)
     numbers = {
         name: emitter.expected(start, stop, dt)
         for name, emitter in zip(scene.source_names, setup.emitters, strict=True)
     }
     known = [number for number in numbers.values() if number is not None]
     return known, [name for name, number in numbers.items() if number is None]
+
+
+def _duration(scene: Scene, dt: float) -> float:
+    """Return how long all steps take of which the first is `dt` s, if they grow as fast as they may, s."""
+    growth, longest = scene.motion.growth, getattr(scene.motion, "longest", None) or math.inf
+    return float(np.minimum(dt * (1 + growth) ** np.arange(scene.schedule.last_step), longest).sum())
 
 
 def _memory(beam: MeshedParticles, particles: int, ranks: int, setup: Setup) -> list[str]:

@@ -58,8 +58,8 @@ def births(state: State, setup: Setup) -> Born | None:
 
 def _span(state: State, stop: float, number: int, setup: Setup) -> Span:
     """Return what a source knows of a step."""
-    face = setup.emitters[number].source.face_number
-    layer = None if face is None else state.solution.layers.get(face)
+    surface = setup.emitters[number].source.surface
+    layer = None if surface is None else state.solution.layers.get(surface)
     external = setup.external.seen_from(state.window) if setup.scene.elements else None
     added = None if external is None else lambda places: external.fields(places, state.time)[0]
     return Span(state.time, stop, state.tallies.of[number].used, layer, added)
@@ -83,7 +83,9 @@ def _sorted(state: State, spans: Sequence[Span], setup: Setup) -> Particles:
 
 def _flown(state: State, newborn: Particles, left: np.ndarray, setup: Setup) -> Particles:
     """Return particles after a flight of `left` (n,) s to the next state, and seen as older ones are then. Collective."""
-    halfway, momentum = (kicked(state, newborn, time, setup).momentum for time in (left / 2, left - setup.dt / 2))
+    halfway, momentum = (
+        kicked(state, newborn, time, setup).momentum for time in (left / 2, left - state.staggered.dt / 2)
+    )
     mass, position = newborn.mass, empty_columns(len(newborn))
     gamma = np.sqrt(1 + np.square(halfway / (mass * SPEED_OF_LIGHT)[:, None]).sum(axis=1))
     position[...] = newborn.position + halfway * (left / (gamma * mass))[:, None]

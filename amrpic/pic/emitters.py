@@ -15,6 +15,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from .. import _native
+from ..conductors.patches import Patches
 from ..errors import InputError
 from ..io.birth_files import Births, read
 from ..mesh.columns import Columns
@@ -28,6 +29,7 @@ from ..scene.any_source import AnySource
 from ..scene.injection import FunctionSource
 from ..scene.scene import Scene
 from ..scene.sources import IDS, FileSource, GivenSource, OfSpecies, Source, WallSource, first_ids
+from ..stages.metal_layer import MetalLayer
 from ..stages.wall_layer import WallLayer
 from ..units import SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
 
@@ -46,7 +48,7 @@ class Span:
     start: float  # s
     stop: float  # s
     used: int
-    layer: WallLayer | None = None  # at the source's face, if that is a wall
+    layer: WallLayer | MetalLayer | None = None  # at the source's face or electrode, if it is a wall or on one
     added: Callable[[np.ndarray], np.ndarray] | None = None  # E (n, 3) in V/m at places (n, 3), beside that of the mesh
 
 
@@ -108,13 +110,17 @@ class OfSurface(Emitter[SurfaceKind]):
         return self.source.emitted.largest_energy()
 
     @property
-    def extent(self) -> tuple[np.ndarray, np.ndarray]:
+    def extent(self) -> tuple[np.ndarray, np.ndarray] | None:
+        if self.source.electrode is not None:
+            return None
         if self.source.reach is not None:
             return self.source.reach
         lower, upper = (np.array(corner)[self._across] for corner in (self._domain.lower, self._domain.upper))
         return lower, upper
 
     def part(self, position: np.ndarray, parts: int) -> np.ndarray:
+        if self.extent is None:
+            return super().part(position, parts)
         lower, upper = self.extent
         share = ((position - self._origin) @ self._axes[:2].T - lower) / (upper - lower)
         return np.clip((share * parts).astype(np.int64), 0, parts - 1) @ [parts, 1]
@@ -133,12 +139,17 @@ class OfSurface(Emitter[SurfaceKind]):
         number, u = np.arange(first, last), self.draws(first, last)
         time = self.times(number, span)
         places, (normal, *across) = self.source.born(u)
-        places = self.places(number, places, u[:2], span)
-        position = self._origin + places.T @ self._axes[:2]
-        momentum = np.stack([*across, normal], axis=1) @ self._axes
+        momentum = np.stack([*across, normal], axis=1)
+        if self.source.electrode is None:
+            places = self.places(number, places, u[:2], span)
+            position = self._origin + places.T @ self._axes[:2]
+            momentum = momentum @ self._axes
+        else:
+            position, normals = self.places_on_metal(number, u[:2], span)
+            momentum = np.einsum("ni,nij->nj", momentum, axes_of(normals))
         weight = self.weights(number, span)
         newborn = Particles(position, momentum, weight, number + self.first, species)
-        born = (span.start <= time) & (time < span.stop) & (weight > 0) & self.holds(places)
+        born = (span.start <= time) & (time < span.stop) & (weight > 0)
         return self.limited(newborn.select(np.flatnonzero(born)), comm, span)
 
     def limited(self, newborn: Particles, comm: MPI.Comm, span: Span) -> Particles:
@@ -147,20 +158,26 @@ class OfSurface(Emitter[SurfaceKind]):
 
     def places(self, number: np.ndarray, of_source: np.ndarray | None, u: np.ndarray, span: Span) -> np.ndarray:
         """Return places (2, n) of particles on the surface, m: those of the source, if it says where."""
+        assert self.extent is not None
         lower, upper = self.extent
         return lower[:, None] + (upper - lower)[:, None] * u if of_source is None else of_source
 
-    def holds(self, places: np.ndarray) -> np.ndarray:
-        """Return whether the surface emits at places (2, n)."""
-        return np.ones(places.shape[1], dtype=bool)
+    def places_on_metal(self, number: np.ndarray, u: np.ndarray, span: Span) -> tuple[np.ndarray, np.ndarray]:
+        """Return places (n, 3) of particles on an electrode, m, and the normals there."""
+        return _metal(span).patches.anywhere(u)
 
     def pull(self, span: Span) -> np.ndarray:
         """Return how the field pulls particles off the part of each face of the wall that emits, V/m; negative: it pushes."""
         assert span.layer is not None
-        field, columns = span.layer.at_wall, span.layer.columns
+        field, sign = span.layer.at_wall, np.sign(self.source.species.charge)
+        if isinstance(span.layer, MetalLayer):
+            patches = span.layer.patches
+            added = 0.0 if span.added is None else (span.added(patches.centre) * patches.normal).sum(axis=1)
+            return (field + added) * sign
+        columns = span.layer.columns
         if span.added is not None:
             field = field + span.added(columns.centre) @ self._axes[2]
-        return self.on_wall(columns).inside(field * np.sign(self.source.species.charge))
+        return self.on_wall(columns).inside(field * sign)
 
     def on_wall(self, columns: Columns) -> SpotOnWall:
         """Return which part of each face of the wall emits."""
@@ -193,11 +210,15 @@ class OfGivenCharge(OfSurface[GivenSource]):
     def limited(self, newborn: Particles, comm: MPI.Comm, span: Span) -> Particles:
         if not self.source.is_limited or span.layer is None:
             return newborn
-        columns = span.layer.columns
-        column, _ = columns.find(newborn.position)  # the window is at rest where there is a layer
-        supplied = np.bincount(column, newborn.weight * abs(self.source.species.charge), len(columns))
+        if isinstance(span.layer, MetalLayer):
+            column, area = span.layer.patches.nearest(newborn.position), span.layer.patches.area
+        else:
+            columns = span.layer.columns
+            column, _ = columns.find(newborn.position)  # the window is at rest where there is a layer
+            area = self.on_wall(columns).area
+        supplied = np.bincount(column, newborn.weight * abs(self.source.species.charge), len(area))
         comm.Allreduce(MPI.IN_PLACE, supplied)
-        most = VACUUM_PERMITTIVITY * np.maximum(self.pull(span), 0.0) * self.on_wall(columns).area
+        most = VACUUM_PERMITTIVITY * np.maximum(self.pull(span), 0.0) * area
         fraction = np.divide(most, supplied, out=np.ones_like(most), where=supplied > most)[column]
         return newborn.with_weight(newborn.weight * fraction).select(np.flatnonzero(fraction > 0))
 
@@ -263,17 +284,22 @@ class OfWall(OfSurface[WallSource]):
 
     def places(self, number: np.ndarray, of_source: np.ndarray | None, u: np.ndarray, span: Span) -> np.ndarray:
         """Those of a step are the same parts of each face: clouds of even charge then leave it even, without noise."""
-        columns, column = self._columns(span), self._column(number, span)
-        start = self.draws(span.used, span.used + 1)[:2]
-        parts = (start + EVENLY[:, None] * ((number - span.used) % self.source.per_face)) % 1.0
-        return columns.corner[column][:, self._across].T + columns.width[column][:, self._across].T * parts
+        parts = self._parts(number, span)
+        spot = self._spot(span)
+        assert isinstance(spot, SpotOnWall)
+        return spot.places(self._column(number, span), parts)
 
-    def holds(self, places: np.ndarray) -> np.ndarray:
-        return super().holds(places) if self.source.spot is None else self.source.spot.holds(places)
+    def places_on_metal(self, number: np.ndarray, u: np.ndarray, span: Span) -> tuple[np.ndarray, np.ndarray]:
+        return _metal(span).patches.places(self._column(number, span), self._parts(number, span))
+
+    def _parts(self, number: np.ndarray, span: Span) -> np.ndarray:
+        """Return numbers (2, n) in (0, 1) for places on faces, even in those of a face."""
+        start = self.draws(span.used, span.used + 1)[:2]
+        return np.asarray((start + EVENLY[:, None] * ((number - span.used) % self.source.per_face)) % 1.0)
 
     def weights(self, number: np.ndarray, span: Span) -> np.ndarray:
-        column, columns = self._column(number, span), self._columns(span)
-        charge = self.surface_charge(column, span) * columns.area[column]
+        column = self._column(number, span)
+        charge = self.surface_charge(column, span) * self._spot(span).area[column]
         return charge / (abs(self.source.species.charge) * self.source.per_face)
 
     def surface_charge(self, column: np.ndarray, span: Span) -> np.ndarray:
@@ -284,13 +310,15 @@ class OfWall(OfSurface[WallSource]):
         most = VACUUM_PERMITTIVITY * np.maximum(pull, 0.0)
         return np.minimum(supplied, most) if self.source.is_limited else supplied
 
-    def _columns(self, span: Span) -> Columns:
+    def _spot(self, span: Span) -> SpotOnWall | Patches:
         assert span.layer is not None
-        return span.layer.columns
+        if isinstance(span.layer, MetalLayer):
+            return span.layer.patches
+        return self.on_wall(span.layer.columns)
 
     def _emitting(self, span: Span) -> np.ndarray:
         """Return the columns with a face that reaches into the spot; none where the window has left the wall."""
-        return np.zeros(0, dtype=np.int64) if span.layer is None else self.on_wall(span.layer.columns).emitting
+        return np.zeros(0, dtype=np.int64) if span.layer is None else self._spot(span).emitting
 
     def _column(self, number: np.ndarray, span: Span) -> np.ndarray:
         return self._emitting(span)[(number - span.used) // self.source.per_face]
@@ -298,6 +326,19 @@ class OfWall(OfSurface[WallSource]):
     def _living(self, span: Span) -> tuple[float, float]:
         """Return the part of a step in which the wall emits, s."""
         return max(span.start, self.source.start), min(span.stop, self.source.stop_time)
+
+
+def _metal(span: Span) -> MetalLayer:
+    assert isinstance(span.layer, MetalLayer)
+    return span.layer
+
+
+def axes_of(normals: np.ndarray) -> np.ndarray:
+    """Return unit vectors (n, 3, 3), two across each normal (n, 3) and it, as rows."""
+    least = np.eye(3)[np.abs(normals).argmin(axis=1)]
+    x = np.cross(normals, least)
+    x /= np.linalg.norm(x, axis=1)[:, None]
+    return np.stack([x, np.cross(normals, x), normals], axis=1)
 
 
 class OfFile(Emitter[FileSource]):

@@ -2,22 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..conductors.patches import Patches
+from ..errors import InputError
 from ..mesh.columns import Columns
+from ..mesh.domain import Domain
 from ..mesh.hierarchy import Hierarchy
 from ..particles.frame import LABORATORY
 from ..particles.particles import Particles
 from ..particles.wall_response import WallResponse
+from ..scene.electrodes import Electrode
 from ..scene.scene import Scene
+from ..shapes import Shape
+from ..shapes.scatter import Scatter, scattered
+from ..stages.metal_layer import MetalLayer
 from ..stages.wall_layer import NormalField, WallLayer, of_component, of_potential
 from .solution import Solution
 
+PER_WIDTH = 6  # lines across a cell by which surfaces of electrodes are found
 LEFT = 0.25  # of a cell by which a wall may be off the face of the mesh: the window has not left it behind
 
 
 class EmittingWalls:
-    """The Dirichlet faces of a scene with sources; keeps the columns of cells at them as long as their mesh."""
+    """The Dirichlet faces and electrodes of a scene with sources; keeps the columns at them as long as their mesh."""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, electrodes: Sequence[Electrode] = ()) -> None:
         boundary = [kind for pair in scene.domain.value.boundary for kind in pair]
         faces = {source.face_number for source in scene.sources}
         self.faces = sorted(face for face in faces if face is not None and boundary[face] == "dirichlet")
@@ -26,14 +38,43 @@ class EmittingWalls:
         self._shape = scene.particles.clouds.shape
         self._columns: dict[int, Columns] = {}
         self._responses: dict[int, WallResponse] = {}
+        names = {source.surface for source in scene.sources}
+        self._metal = {electrode.name: electrode.shape for electrode in electrodes if electrode.name in names}
+        self._scatters: dict[str, Scatter] = {}
+        self._patches: dict[str, Patches] = {}
+        self._mesh: Hierarchy | None = None  # of the patches
 
-    def layers(self, solution: Solution, particles: Particles) -> dict[int, WallLayer]:
-        """Return the layers at the faces, by their numbers, with what was solved for and its particles in them. Collective."""
-        return {
+    def __bool__(self) -> bool:
+        return bool(self.faces or self._metal)
+
+    def layers(self, solution: Solution, particles: Particles) -> dict[int | str, WallLayer | MetalLayer]:
+        """Return the layers at the faces, by their numbers, and at electrodes, by their names, with what was solved for and its
+        particles in them. Collective.
+        """
+        hierarchy = solution.rho.hierarchy
+        of_metal = {
+            name: MetalLayer.of(self._in_front(hierarchy, name), solution.potential, solution.electric, particles)
+            for name in self._metal
+        }
+        return of_metal | {
             face: WallLayer.of(columns, self._field(columns, solution), particles, self._responses.get(face))
             for face in self.faces
-            if (columns := self._on(solution.rho.hierarchy, face)) and not _is_left(columns, solution)
+            if (columns := self._on(hierarchy, face)) and not _is_left(columns, solution)
         }
+
+    def _in_front(self, hierarchy: Hierarchy, name: str) -> Patches:
+        """Return the patches of an electrode, as wide as the finest cells that are all around it. Raises InputError."""
+        if self._mesh is not hierarchy:
+            self._mesh, self._patches = hierarchy, {}
+        if name not in self._patches:
+            domain, shape = hierarchy.domain, self._metal[name]
+            if name not in self._scatters:
+                width = float(hierarchy.spacing(hierarchy.levels - 1).min())
+                self._scatters[name] = of_electrode(name, shape, domain, width)
+            points = self._scatters[name]
+            level = max(n for n in range(hierarchy.levels) if n == 0 or _covers(hierarchy, n, points.place))
+            self._patches[name] = Patches(shape, points, float(hierarchy.spacing(level).max()))
+        return self._patches[name]
 
     def _on(self, hierarchy: Hierarchy, face: int) -> Columns:
         columns = self._columns.get(face)
@@ -63,6 +104,23 @@ class EmittingWalls:
         for field in exact:
             out = out.with_exact(field)
         return out
+
+
+def of_electrode(name: str, shape: Shape, domain: Domain, width: float) -> Scatter:
+    """Return points of an electrode's surface in a domain, enough for parts `width` m wide. Raises InputError."""
+    points = scattered(shape, domain.lower, domain.upper, width / PER_WIDTH)
+    if len(points.place) == 0:
+        raise InputError(f"electrode {name} emits, and none of its surface is in the domain; move it, or the domain")
+    return points
+
+
+def _covers(hierarchy: Hierarchy, level: int, places: np.ndarray) -> bool:
+    """Whether all places (n, 3) lie in cells of a level."""
+    index = np.floor((places - hierarchy.lower) / hierarchy.spacing(level)).astype(np.int64)
+    covered = np.zeros(len(places), dtype=bool)
+    for box in hierarchy.boxes(level):
+        covered |= ((index >= box[:3]) & (index <= box[3:])).all(axis=1)
+    return bool(covered.all())
 
 
 def _is_left(columns: Columns, solution: Solution) -> bool:

@@ -39,7 +39,7 @@ def next_frames(state: State, particles: Particles, lost: Particles, setup: Setu
     window = staggered.course.window
     turn = state.window.turn_to(window)
     # the part of the turn that lies between momenta and places
-    behind = None if turn is None else part_of(turn.T, setup.dt / 2 / staggered.flight)
+    behind = None if turn is None else part_of(turn.T, staggered.dt / 2 / staggered.flight)
     last = replace(last, turn=None if behind is None else tuple(map(vector, behind)))
     return _frames(particles, last, lost, window, setup)
 

@@ -27,9 +27,16 @@ from .state import State
 
 
 def gather_and_push(
-    solution: Solution, particles: Particles, lag: float, step: int, time: float, course: Course, setup: Setup
+    solution: Solution,
+    particles: Particles,
+    lag: float,
+    dt: float,
+    step: int,
+    time: float,
+    course: Course,
+    setup: Setup,
 ) -> Staggered:
-    """Return where particles go whose momenta lag positions by `lag` s, at `time` s before `step` + 1. Collective.
+    """Return where particles go whose momenta lag positions by `lag` s, at `time` s before `step` + 1 of `dt` s. Collective.
 
     The field is read at each particle, which is kicked and drifts in the same pass. Where motion follows no field there is
     nothing to do.
@@ -38,7 +45,7 @@ def gather_and_push(
     if not motion.follows_fields:
         return Staggered(particles, particles, course)
     drifts_first = motion.form == "drift-kick-drift" and step == 0
-    after, flight = (0.0, setup.dt / 2) if drifts_first else (setup.dt / 2, setup.dt)
+    after, flight = (0.0, dt / 2) if drifts_first else (dt / 2, dt)
     then = course.after(flight, time, setup.external, _pusher(solution, setup))
     with setup.clock("push"):
         by_e_alone = solution.frames.only == LABORATORY and not setup.scene.elements and not fields
@@ -47,7 +54,7 @@ def gather_and_push(
         of_fields = fields.at(particles, time, course.window) if fields else None
         shift = course.window.shift_to(then.window)
         moved = _push(solution, particles, lag, after, flight, setup, between, external, of_fields, time, shift)
-    return Staggered(particles, moved, then, lag, flight, between)
+    return Staggered(particles, moved, then, lag, flight, between, dt)
 
 
 def kick(solution: Solution, particles: Particles, staggered: Staggered, setup: Setup) -> Particles:
@@ -133,7 +140,7 @@ def _push(
     if solution.layers:
         electric = np.zeros((len(particles), 3)) if electric is None else electric
         for layer in solution.layers.values():
-            layer.correct(electric, particles, setup.clouds.shape)
+            layer.correct(electric, particles, setup.clouds)
     return push(
         solution.efield,
         particles,

@@ -65,6 +65,7 @@ class ParticleRecorder(Recorder[State]):
         self._residuals = self._open(RESIDUALS, HISTORY)
         self._sources = self._open(SOURCES, TABLE) if scene.sources else None
         self._since_sources = state.time  # s, of their latest row
+        self._next_dt = state.staggered.dt  # s
         self._currents = Currents(state, setup.electrodes)
         self._fills, self._beam = Fills(setup.remarks.remark), None
         if "series" in self._wanted:
@@ -85,13 +86,14 @@ class ParticleRecorder(Recorder[State]):
         return self._setup.remarks.notes
 
     def _dt(self) -> float:
-        return self._setup.dt
+        return self._next_dt
 
     def _tables(self) -> list[Series]:
         tables = [table for table in (self._residuals, self._sources) if table is not None]
         return [*super()._tables(), *tables, *(self._beam.series if self._beam is not None else [])]
 
     def _add_rows(self, state: State) -> None:
+        self._next_dt = state.staggered.dt
         self._add_history(state.step, state.time)
         if self._sources is not None:
             at = {"step": state.step, "time": state.time}

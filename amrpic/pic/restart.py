@@ -94,6 +94,8 @@ def snapshot(state: State, setup: Setup) -> Snapshot:
             "frames": asdict(state.solution.frames),
             "lag": lag,
             "dt": setup.dt,
+            "next_dt": state.staggered.dt,
+            "longest_dt": state.longest,
             "course": state.course.to_dict(),
             "fields": list(setup.fields.names),
             "sources": state.tallies.to_list(),
@@ -196,10 +198,13 @@ def _state(setup: Setup, held: Snapshot, stored: Hierarchy, hierarchy: Hierarchy
         setup = replace(setup, dt=extra["dt"])
     if setup.dt != extra["dt"]:
         setup = with_time_step(setup, beam, solution, course)
-    staggered = gather_and_push(solution, beam.particles, lag, step, time, course, setup)
+    dt, longest = (
+        extra.get(key, setup.dt) if setup.scene.motion.growth else setup.dt for key in ("next_dt", "longest_dt")
+    )
+    staggered = gather_and_push(solution, beam.particles, lag, dt, step, time, course, setup)
     spent = setup.clock.take()
     tallies = Tallies.of_scene(setup.scene, extra.get("sources", ()))
-    return State(staggered, solution, lost, screens, tallies, course, step, time, spent=spent), setup
+    return State(staggered, solution, lost, screens, tallies, course, step, time, longest, spent=spent), setup
 
 
 def _solution(setup: Setup, fields: Mapping[str, Field], extra: Mapping[str, Any]) -> Solution:

@@ -77,7 +77,7 @@ class Setup:
 
 def set_up(comm: MPI.Comm, scene: Scene, fields: Sequence[FieldFunction] = ()) -> Setup:
     """Return the set-up of a scene and fields from Python. Collective; InputError on all ranks."""
-    comm, remarks, motion = own(comm), Remarks(), scene.motion
+    comm, remarks, motion, electrodes = own(comm), Remarks(), scene.motion, electrodes_of(comm, scene)
     if fields and not motion.follows_fields:
         remarks.remark(f'fields from Python act on nothing, since motion.kind is "{motion.kind}"; set it to "leapfrog"')
     return Setup(
@@ -87,7 +87,7 @@ def set_up(comm: MPI.Comm, scene: Scene, fields: Sequence[FieldFunction] = ()) -
         ExternalFields.of_scene(scene, _maps(comm, scene)),
         FieldFunctions(comm, fields),
         [native_aperture(aperture) for aperture in scene.apertures],
-        electrodes_of(comm, scene),
+        electrodes,
         [native_screen(screen) for screen in scene.screens],
         mover_of(scene),
         Solvers(
@@ -97,7 +97,7 @@ def set_up(comm: MPI.Comm, scene: Scene, fields: Sequence[FieldFunction] = ()) -
             remarks.remark,
         ),
         emitters_of(comm, scene),
-        EmittingWalls(scene),
+        EmittingWalls(scene, electrodes),
         remarks,
     )
 

@@ -13,6 +13,7 @@ from ..mesh.hierarchy import Hierarchy
 from ..particles.energy_bins import ONE_FRAME, Frames
 from ..particles.frame import Frame
 from ..space_charge.solvers import Potential
+from ..stages.metal_layer import MetalLayer
 from ..stages.poisson import SolveReport
 from ..stages.wall_layer import WallLayer
 from ..units import SPEED_OF_LIGHT
@@ -39,7 +40,8 @@ class Solution:
         None  # of what walls and electrodes hold, where those above are without: see `Solvers.walls`
     )
     images: Solution | None = None  # of the images of the charge in walls across its motion, which move against it
-    layers: Mapping[int, WallLayer] = field(default_factory=dict)  # at walls that emit, by the number of their face
+    # at walls that emit, by the number of their face, and at electrodes, by their name
+    layers: Mapping[int | str, WallLayer | MetalLayer] = field(default_factory=dict)
 
     @cached_property
     def potential(self) -> Field:

@@ -46,7 +46,7 @@ def solve(beam: MeshedParticles, rho: Field, last: Solution | None, setup: Setup
 
 def with_layers(solution: Solution, particles: Particles, setup: Setup) -> Solution:
     """Return a solution of particles with the layers at walls that emit. Collective."""
-    if not setup.emitting_walls.faces:
+    if not setup.emitting_walls:
         return solution
     with setup.clock("solve"):
         return replace(solution, layers=setup.emitting_walls.layers(solution, particles))

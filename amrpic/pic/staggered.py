@@ -16,8 +16,9 @@ from .course import Course
 class Staggered:
     """The particles of a state, by how much their momenta lag positions, and where they go next.
 
-    Momenta of `particles` lag the state's time by `lag` (0 or Δt/2), those of `moved` lead it by Δt/2. Without a magnetic
-    field, elements or fields from Python those of the state's time are the mean of both; with them they are kept, as `between`.
+    Momenta of `particles` lag the state's time by `lag` (0, or half of the step before), those of `moved` lead it by Δt/2.
+    Without a magnetic field, elements or fields from Python those of the state's time lie between both; with them they are
+    kept, as `between`.
     Where motion follows no field nothing lags, and `moved` are the particles as they are.
     """
 
@@ -27,6 +28,7 @@ class Staggered:
     lag: float = 0.0  # s
     flight: float = 0.0  # s, of that drift: Δt, and Δt/2 without a kick at the start of drift, kick, drift
     between: np.ndarray | None = None  # (n, 3) kg m/s
+    dt: float = 0.0  # s, of the step that begins: Δt
 
     @property
     def synchronized(self) -> Particles:
@@ -37,7 +39,7 @@ class Staggered:
             return self.particles.replace(momentum=self.between)
         lagging, out = self.particles.momentum, empty_columns(len(self.particles))
         np.subtract(self.moved.momentum, lagging, out=out)
-        out *= 0.5
+        out *= self._part_behind
         out += lagging
         return self.particles.replace(momentum=out)
 
@@ -47,7 +49,12 @@ class Staggered:
         if self.between is not None:
             now = self.synchronized
             return Beam(now, now)
-        return Beam(self.particles, self.moved, 0.5 if self.lag > 0 else 0.0)
+        return Beam(self.particles, self.moved, self._part_behind)
+
+    @property
+    def _part_behind(self) -> float:
+        """Which part of the kick lies before the time of positions."""
+        return self.lag / (self.lag + self.dt / 2) if self.lag > 0 else 0.0
 
     @property
     def lag_to_keep(self) -> float:

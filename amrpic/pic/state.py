@@ -31,6 +31,7 @@ class State:
     course: Course
     step: int
     time: float  # s
+    longest: float = 0.0  # s, that a step may take, as it was looked at last; that of all steps where they are equal
     regridded: bool = False  # whether the latest step changed the mesh
     spent: dict[str, Spent] = field(default_factory=dict)  # on the stages of the latest step, by this rank
 

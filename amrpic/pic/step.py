@@ -24,7 +24,7 @@ from .metal_images import check_images
 from .setup import Setup, resolved, set_up
 from .solve import solve
 from .state import State
-from .time_step import check_time_step, with_time_step
+from .time_step import check_time_step, next_step, with_time_step
 
 
 def advance(state: State, setup: Setup) -> State:
@@ -41,13 +41,14 @@ def advance(state: State, setup: Setup) -> State:
     beam = regrid_if_due(beam, state, setup)
     rho = deposit(beam, setup)
     solution = solve(beam, rho, state.solution, setup)
-    check_time_step(beam, solution, step, setup)
+    lag, dt, goal = state.staggered.dt / 2, *next_step(state, beam, solution, course, setup)
+    check_time_step(beam, solution, step, dt, setup)
     check_images(beam, solution, step, setup)
-    staggered = gather_and_push(solution, beam.particles, setup.dt / 2, step, time, course, setup)
+    staggered = gather_and_push(solution, beam.particles, lag, dt, step, time, course, setup)
     # Boxes may be cut anew without another cell, as after a restart on other ranks.
     regridded = beam.hierarchy is not state.hierarchy and not beam.hierarchy.same_cells(state.hierarchy)
     records = arrived.lost, arrived.screens, arrived.tallies
-    return State(staggered, solution, *records, course, step, time, regridded, setup.clock.take())
+    return State(staggered, solution, *records, course, step, time, goal, regridded, setup.clock.take())
 
 
 def begin(comm: MPI.Comm, scene: Scene, fields: Sequence[FieldFunction] = ()) -> tuple[State, Setup]:
@@ -64,9 +65,9 @@ def begin(comm: MPI.Comm, scene: Scene, fields: Sequence[FieldFunction] = ()) ->
     solution = solve(beam, rho, None, setup)
     check_images(beam, solution, 0, setup)
     setup = with_time_step(setup, beam, solution, course)
-    staggered = gather_and_push(solution, beam.particles, 0.0, 0, start, course, setup)
+    staggered = gather_and_push(solution, beam.particles, 0.0, setup.dt, 0, start, course, setup)
     records = arrived.lost, arrived.screens, arrived.tallies
-    return State(staggered, solution, *records, course, 0, start, spent=setup.clock.take()), setup
+    return State(staggered, solution, *records, course, 0, start, setup.dt, spent=setup.clock.take()), setup
 
 
 def _made(base: Hierarchy, course: Course, setup: Setup) -> tuple[Arrived, float, Setup]:
@@ -89,6 +90,7 @@ def _made(base: Hierarchy, course: Course, setup: Setup) -> tuple[Arrived, float
 def with_momenta(state: State, momentum: np.ndarray, setup: Setup) -> State:
     """Return the state with particles of other momenta (n, 3) in kg m/s, at its own time. Collective."""
     particles = state.particles.replace(momentum=momentum)
-    staggered = gather_and_push(state.solution, particles, 0.0, state.step, state.time, state.course, setup)
+    dt, course = state.staggered.dt, state.course
+    staggered = gather_and_push(state.solution, particles, 0.0, dt, state.step, state.time, course, setup)
     spent = {stage: state.spent.get(stage, Spent()) + more for stage, more in setup.clock.take().items()}
     return replace(state, staggered=staggered, spent={**state.spent, **spent})

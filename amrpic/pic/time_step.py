@@ -28,6 +28,7 @@ from .leapfrog import felt
 from .meshed import MeshedParticles
 from .setup import Setup
 from .solution import Solution
+from .state import State
 
 # Steps per time: what "auto" takes, and what a step that is given should not fall below.
 PER_CELL, LEAST_PER_CELL = 2.0, 1.0
@@ -45,6 +46,8 @@ PER_PULSE, LEAST_PER_PULSE = 50.0, 5.0
 
 
 EVERY = 100  # steps from one look at whether the step has become long to the next
+# Where steps grow: steps from one look at how long they may be to the next, and how many are enough for any process, to 1e-4.
+EVERY_GROWTH, PER_GROWN = 10, 100.0
 
 
 @dataclass(frozen=True)
@@ -79,7 +82,7 @@ def with_time_step(setup: Setup, beam: MeshedParticles, solution: Solution | Non
         return setup
     all_ = processes(beam, solution, setup, course)
     if motion.dt != "auto":
-        _remark(setup, all_, 'shorten it, or set it to "auto"')
+        _remark(setup, motion.dt, all_, 'shorten it, or set it to "auto"')
     return replace(setup, dt=_longest_step(all_, setup)) if math.isnan(setup.dt) else setup
 
 
@@ -101,30 +104,53 @@ def _longest_step(all_: list[Process], setup: Setup) -> float:
     return dt
 
 
-def check_time_step(beam: MeshedParticles, solution: Solution, step: int, setup: Setup) -> None:
+def next_step(
+    state: State, beam: MeshedParticles, solution: Solution, course: Course, setup: Setup
+) -> tuple[float, float]:
+    """Return how long the step after the next state is, and may be as was looked at last, s. Collective.
+
+    It grows with the time that the fastest of all processes takes, and is never shorter than the first one.
+    """
+    motion = setup.scene.motion
+    if motion.growth == 0:
+        return setup.dt, setup.dt
+    longest = state.longest
+    if (state.step + 1) % EVERY_GROWTH == 0:
+        time = state.time + state.staggered.flight
+        all_ = processes(beam, solution, setup, course, time)
+        of_all = min((process.time / min(process.steps, PER_GROWN) for process in all_), default=math.inf)
+        longest = min(max(of_all, setup.dt), motion.longest or math.inf)
+    return min(longest, state.staggered.dt * (1 + motion.growth)), longest
+
+
+def check_time_step(beam: MeshedParticles, solution: Solution, step: int, dt: float, setup: Setup) -> None:
     """Remark if the time step has become long for charge or field at a later step, once for each kind. Collective."""
     if setup.scene.motion.follows_fields and step % EVERY == 0:
         remedy = "go on from an earlier checkpoint with a shorter one"
-        _remark(setup, processes(beam, solution, setup), remedy, f" at step {step}")
+        _remark(setup, dt, processes(beam, solution, setup), remedy, f" at step {step}")
 
 
-def _remark(setup: Setup, all_: list[Process], remedy: str, when: str = "") -> None:
+def _remark(setup: Setup, dt: float, all_: list[Process], remedy: str, when: str = "") -> None:
     for kind in dict.fromkeys(process.kind for process in all_):
         same = (process for process in all_ if process.kind == kind)
         worst = max(same, key=lambda process: process.least / process.time if process.time > 0 else math.inf)
-        if falls_short(worst.time / setup.dt, worst.least):
+        if falls_short(worst.time / dt, worst.least):
             setup.remarks.remark(
-                f"motion.dt of {setup.dt:.4g} s is long{when}: {worst.time / setup.dt:.3g} steps per {worst.what}, where at "
+                f"motion.dt of {dt:.4g} s is long{when}: {worst.time / dt:.3g} steps per {worst.what}, where at "
                 f"least {worst.least:.3g} are advisable; {remedy}",
                 f"motion.dt, {kind}",
             )
 
 
 def processes(
-    beam: MeshedParticles, solution: Solution | None, setup: Setup, course: Course | None = None
+    beam: MeshedParticles,
+    solution: Solution | None,
+    setup: Setup,
+    course: Course | None = None,
+    time: float = -math.inf,
 ) -> list[Process]:
-    """Return what goes on in a run and takes a time: what charge and own field do, and with a course motion and elements.
-    Collective.
+    """Return what goes on in a run and takes a time: what charge and own field do, and with a course motion and elements,
+    and sources that have not ended at a time, s. Collective.
 
     Fields from Python are not looked at.
     """
@@ -133,7 +159,7 @@ def processes(
         _of_motion(setup, fast) if fast else (),
         _of_charge(beam, solution, setup),
         _of_elements(setup, fast) if fast else (),
-        _of_sources(solution, setup) if fast and solution and setup.emitters else (),
+        _of_sources(solution, setup, time) if fast and solution and setup.emitters else (),
     )
     return [process for process in all_ if process.time < math.inf]
 
@@ -166,7 +192,7 @@ def _of_elements(setup: Setup, fast: Fastest) -> Iterator[Process]:
         yield from _processes_in(of, element.name or f"elements.{number}", fast)
 
 
-def _of_sources(solution: Solution, setup: Setup) -> Iterator[Process]:
+def _of_sources(solution: Solution, setup: Setup, time: float) -> Iterator[Process]:
     """Yield what particles do that are not born yet: pass a cell after a fall through all of the potential, and fly from rest
     through the first cell; and the pulse that they come in. Collective."""
     drop = solution.potential.max() - solution.potential.min()
@@ -174,6 +200,8 @@ def _of_sources(solution: Solution, setup: Setup) -> Iterator[Process]:
     drop += sum(of.electric * of.length for of in elements if math.isfinite(of.length))
     spacing, levels = setup.scene.domain.value.spacing, setup.scene.refinement.levels
     for emitter, name in zip(setup.emitters, setup.scene.source_names, strict=True):
+        if emitter.stop_time <= time:
+            continue
         source, face = emitter.source, emitter.source.face_number
         energy, mass = abs(source.species.charge) * drop + emitter.largest_energy(), source.species.mass
         gamma = 1 + energy / (mass * SPEED_OF_LIGHT**2)
@@ -186,7 +214,7 @@ def _of_sources(solution: Solution, setup: Setup) -> Iterator[Process]:
             PER_PASSAGE,
             LEAST_PER_PASSAGE,
         )
-        if layer := solution.layers.get(-1 if face is None else face):
+        if layer := solution.layers.get(-1 if source.surface is None else source.surface):
             pull = abs(source.species.charge) / mass * np.abs(layer.at_wall).max(initial=0.0)
             first = math.sqrt(_time(2 * width / 2**levels, pull))
             yield Process(

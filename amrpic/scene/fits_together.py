@@ -9,10 +9,11 @@ from .bunches import DescribedBunch
 from .complaints import close_match, complaint
 from .domain_section import LARGEST_INDEX
 from .elements import ConstantFocusingElement
+from .injection import InjectionSource
 from .obstacles import aperture_names, repeated_names
 from .parts import SceneParts
 from .refinement_rules import EmissionRule, RuleOfElectrodes, StaticBox, StaticRule, every_rule
-from .sources import WallSource
+from .sources import Source, WallSource
 
 MOST_BINS = 1_000_000  # of a map of losses
 MOST_BLOCKS = 2**20  # of a level along an axis: `native/mesh/hierarchy.cpp`
@@ -266,6 +267,9 @@ def _sources(scene: SceneParts) -> None:
             found="",
         )
     for number, source in enumerate(scene.sources):
+        if isinstance(source, Source) and source.electrode is not None:
+            _on_electrode(scene, source, f"sources.{number}")
+            continue
         face = source.face_number
         kind = None if face is None else scene.domain.value.boundary[face // 2][face % 2]
         if (isinstance(source, WallSource) or source.is_limited) and kind != "dirichlet":
@@ -281,6 +285,29 @@ def _sources(scene: SceneParts) -> None:
                 f"is {scene.solver.order}, and the field at walls that emit is known for 2 alone",
                 "set it to 2",
             )
+
+
+def _on_electrode(scene: SceneParts, source: Source, path: str) -> None:
+    """Raise a complaint if a source is on an electrode that cannot emit."""
+    names = [electrode.name for electrode in scene.electrodes]
+    if source.electrode not in names:
+        raise complaint(
+            "names no electrode",
+            close_match(str(source.electrode), names),
+            path=f"{path}.electrode",
+            found=source.electrode,
+        )
+    if isinstance(source, InjectionSource):
+        raise complaint(
+            "injects no beam from elsewhere", "give a face or a plane", path=f"{path}.electrode", found=source.electrode
+        )
+    if scene.motion.window != "none":
+        raise complaint(
+            "emits where a window would leave it, which electrodes do not",
+            'set motion.window to "none"',
+            path=f"{path}.electrode",
+            found=source.electrode,
+        )
 
 
 def _emission_rule(scene: SceneParts) -> None:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, model_validator
 
 from .complaints import complaint
 from .real_particle import RealParticle
@@ -23,6 +23,7 @@ class WithoutFields(Section):
     window: ClassVar[str] = "none"
     reference: ClassVar[None] = None
     dt: ClassVar[float] = 0.0
+    growth: ClassVar[float] = 0.0
 
 
 class NoMotion(WithoutFields):
@@ -100,6 +101,30 @@ class Leapfrog(Section):
         "the particles' own field changes, and the periods and lengths of elements; the log says which was the shortest. A "
         "restart goes on with the same step."
     )
+    growth: float = Field(
+        default=0.0,
+        ge=0,
+        le=0.2,
+        description="Part by which a step may be longer than the one before it. Every ten steps the rules of auto, with "
+        "at most 100 steps per process, say how long steps may be by then; they are never shorter than dt. "
+        "0: all steps are equal.",
+    )
+    longest: Time | None = Field(default=None, gt=0, description="Time step that they do not outgrow, s.")
+
+    @model_validator(mode="after")
+    def _growing(self) -> Self:
+        if self.growth > 0 and self.form == "drift-kick-drift":
+            raise complaint(
+                "lets steps grow, which have their kick in the middle, where the next one is not known yet",
+                'set form = "kick-drift-kick", or leave growth out',
+                path="growth",
+                found=self.growth,
+            )
+        least = 0.0 if self.dt == "auto" else self.dt
+        if self.longest is not None and (self.growth == 0 or self.longest < least):
+            wrong = "bounds steps that do not grow" if self.growth == 0 else f"is below dt, {least:g} s"
+            raise complaint(wrong, "give a growth and a step above dt", path="longest", found=self.longest)
+        return self
 
 
 class RandomWalk(WithoutFields):

@@ -59,6 +59,11 @@ class OfSpecies(Obstacle):
         return None if self.face is None else FACES.index(self.face)
 
     @property
+    def surface(self) -> int | str | None:
+        """Which wall it is on: the number of a face."""
+        return self.face_number
+
+    @property
     def is_limited(self) -> bool:
         """Whether no more is born than Gauss's law takes until the field at the wall is zero."""
         return False
@@ -94,9 +99,12 @@ class OfSpecies(Obstacle):
 
 
 class Source(OfSpecies):
-    """Particles that are born on a face of the domain, or on a plane inside."""
+    """Particles that are born on a face of the domain, on a plane inside, or on an electrode."""
 
     plane: PlaneSection | None = Field(default=None, description="A plane, in place of a face.")
+    electrode: str | None = Field(
+        default=None, description="Name of an electrode, in place of a face: all of its surface in the domain emits."
+    )
     spot: AnySpot | None = Field(
         default=None, description="Where on it; without one evenly on all of the face. A plane needs one."
     )
@@ -104,9 +112,19 @@ class Source(OfSpecies):
 
     @model_validator(mode="after")
     def _one_surface(self) -> Self:
-        if (self.face is None) == (self.plane is None):
-            wrong = "is missing" if self.face is None else "is given as well as plane"
-            raise complaint(wrong, "name one face, or give a plane", path="face", found=self.face or "nothing")
+        surfaces = [key for key in ("face", "plane", "electrode") if getattr(self, key) is not None]
+        if len(surfaces) != 1:
+            wrong = f"is given as well as {surfaces[-1]}" if surfaces else "is missing"
+            raise complaint(
+                wrong, "name one face or electrode, or give a plane", path="face", found=self.face or "nothing"
+            )
+        if self.electrode is not None and self.spot is not None:
+            raise complaint(
+                "is no part of an electrode's surface",
+                "leave it out, or make the part that emits an electrode of its own",
+                path="spot",
+                found=self.spot.shape,
+            )
         if self.plane is not None and self.reach is None:
             raise complaint("is missing on a plane, which has no end", "add one", path="spot", found="nothing")
         if self.species.charge == 0:
@@ -120,6 +138,11 @@ class Source(OfSpecies):
                 found=self.emitted.kind,
             )
         return self
+
+    @property
+    def surface(self) -> int | str | None:
+        """Which wall or electrode it is on: the number of a face, or a name."""
+        return self.face_number if self.electrode is None else self.electrode
 
     @property
     def reach(self) -> tuple[np.ndarray, np.ndarray] | None:
@@ -141,7 +164,8 @@ class Source(OfSpecies):
         """Return the origin (3,) in m, and as rows (3, 3) unit vectors across and the normal, in a domain of these corners."""
         if self.plane is not None:
             return np.array(self.plane.centre), np.array(axes(self.plane.direction, self.plane.roll))
-        assert self.face_number is not None
+        if self.face_number is None:  # an electrode, which has a frame of its own at each place
+            return np.zeros(3), np.eye(3)
         axis, side = divmod(self.face_number, 2)
         rows = [np.eye(3)[side_axis] for side_axis in range(3) if side_axis != axis]
         origin = np.where(np.arange(3) == axis, (lower, upper)[side], 0.0)
@@ -313,7 +337,10 @@ class WallSource(Source):
     def _on_a_face(self) -> Self:
         if self.plane is not None:
             raise complaint(
-                "has no field that decides what it emits", "name a face", path="plane", found=self.plane.centre
+                "has no field that decides what it emits",
+                "name a face or an electrode",
+                path="plane",
+                found=self.plane.centre,
             )
         if self.stop is not None and self.stop <= self.start:
             raise complaint("is not after start", "swap them", path="stop", found=self.stop)

@@ -14,7 +14,7 @@ import numpy as np
 from ..mesh.columns import READ, Columns
 from ..mesh.field import Field
 from ..mpi import MPI
-from ..particles.clouds import Shape
+from ..particles.clouds import Clouds, Shape
 from ..particles.particles import Particles
 from ..particles.wall_response import WallResponse
 
@@ -99,7 +99,7 @@ class WallLayer:
         """(n,) V/m, along the normal into the domain."""
         return self.field.faces[:, 0]
 
-    def correct(self, electric: np.ndarray, particles: Particles, shape: Shape) -> None:
+    def correct(self, electric: np.ndarray, particles: Particles, clouds: Clouds) -> None:
         """Add to fields at particles (n, 3), V/m, what Gauss's law within cells has beyond the mesh's field along the normal.
 
         In the column of a particle alone, so what differs across columns stays as it is gathered.
@@ -111,7 +111,7 @@ class WallLayer:
         share = below + (above - below) * (part - low) / (high - low)
         faces = self.field.faces
         within = faces[column, cell] + (faces[column, cell + 1] - faces[column, cell]) * share
-        gathered = gathered_from(self.field.centres, column, cell, part, shape)
+        gathered = gathered_from(self.field.centres, column, cell, part, clouds.shape)
         electric[near.chosen, self.columns.axis] += self.columns.inwards * (within - gathered)
 
 

@@ -1,0 +1,73 @@
+"""The layer in front of an electrode that emits: the field at its surface, and along the normal.
+
+Cells that metal cuts have neither. Two and a half cells in front of it the mesh has both field and charge; below, the normal
+field in the column of each patch follows from Gauss's law, from the charge in it and the widening of its cross-section.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..conductors.patches import Patches
+from ..mesh.field import Field, VectorField
+from ..mpi import MPI
+from ..particles.clouds import Clouds
+from ..particles.particles import Particles
+from ..units import VACUUM_PERMITTIVITY
+from .gather import gather
+
+HEIGHT = 2.5  # cells of a column: half a cell below its top no cell beside the place is cut
+BINS = 24  # of a column in which charge is summed, cubic since particles start at rest
+EDGES = (np.arange(BINS + 1) / BINS) ** 3
+
+
+@dataclass(frozen=True, eq=False)
+class MetalLayer:
+    """The normal field in the columns in front of an electrode."""
+
+    patches: Patches
+    below: np.ndarray  # (n, BINS + 1) C, charge in a column below the edges of its bins
+    at_wall: np.ndarray  # (n,) V/m, out of the metal
+    electric: VectorField  # of the mesh
+
+    @classmethod
+    def of(cls, patches: Patches, phi: Field, electric: VectorField, particles: Particles) -> MetalLayer:
+        """Return the layer in a potential with these particles. Collective."""
+        height, width = HEIGHT * patches.width, patches.width
+        chosen, patch, above = patches.find(particles.position, height)
+        charge = (particles.weight * particles.charge)[chosen]
+        sums = np.bincount(patch * BINS + _bin(above / height), charge, len(patches) * BINS).reshape(-1, BINS)
+        phi.hierarchy.comm.Allreduce(MPI.IN_PLACE, sums)
+        below = np.concatenate([np.zeros((len(patches), 1)), np.cumsum(sums, axis=1)], axis=1)
+        high, low = (phi.sample(patches.centre + (height + step * width) * patches.normal) for step in (0.5, -0.5))
+        top = patches.widening(patches.emitting, np.full(len(patches), height)) * (low - high) / width
+        at_wall = np.nan_to_num(top - below[:, -1] / (VACUUM_PERMITTIVITY * patches.area))
+        return cls(patches, below, at_wall, electric)
+
+    def correct(self, electric: np.ndarray, particles: Particles, clouds: Clouds) -> None:
+        """Add to fields at particles (n, 3), V/m, what Gauss's law in columns has beyond the mesh's along the normal.
+
+        Collective.
+        """
+        height = HEIGHT * self.patches.width
+        chosen, patch, above = self.patches.find(particles.position, height)
+        part = above / height
+        bin = _bin(part)
+        low, high = EDGES[bin], EDGES[bin + 1]
+        below, over = self.below[patch, bin], self.below[patch, bin + 1]
+        charge = below + (over - below) * (part - low) / (high - low)
+        within = self.at_wall[patch] + charge / (VACUUM_PERMITTIVITY * self.patches.area[patch])
+        within /= self.patches.widening(patch, above)
+        order = np.argsort(chosen)
+        few, sorting = particles.select(chosen[order]), particles.sorting
+        if sorting is not None:
+            few = replace(few, sorting=replace(sorting, starts=np.searchsorted(chosen[order], sorting.starts)))
+        normal = self.patches.normal[patch[order]]
+        gathered = (gather(self.electric, few, clouds) * normal).sum(axis=1)
+        electric[chosen[order]] += (within[order] - gathered)[:, None] * normal
+
+
+def _bin(part: np.ndarray) -> np.ndarray:
+    return np.minimum((np.cbrt(part) * BINS).astype(np.int64), BINS - 1)

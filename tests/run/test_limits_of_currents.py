@@ -1,0 +1,136 @@
+"""Limits of currents: a strip, Bursian's gap, the knee of a thermionic diode, a wall against a full field."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy
+from mpi4py import MPI
+from test_emitting_walls import GAP, child, current, diode, hot
+
+from amrpic.pic.simulation import Simulation
+from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE
+
+VOLTAGE = 100.0
+SPEED = math.sqrt(2 * ELEMENTARY_CHARGE / ELECTRON_MASS * VOLTAGE)  # m/s
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("part", "expected"), [(0.9, 0.401), (1.0, 0.295), (1.1, 0.145)])
+def test_a_strip_as_wide_as_the_gap_has_its_field_at_the_middle(part, expected):
+    """Even emission, motion along z alone in a strong field B: E over V/d at the cathode, by a steady solution in the plane."""
+    cells, across = 32, 160
+    width = GAP / cells
+    half, depth = across * width / 2, 4 * width
+    source = {
+        "process": "given", "current": -part * child(VOLTAGE) * GAP * depth, "per_step": 256, "sampling": "sobol",
+        "spot": {"shape": "rectangle", "half_widths": [GAP / 2, depth / 2], "centre": [0, depth / 2]},
+        "momenta": {"kind": "cold"},
+    }  # fmt: skip
+    domain = {
+        "lower": [-half, 0, 0], "upper": [half, depth, GAP], "cells": [across, 4, cells],
+        "boundary": {"x": "periodic", "y": "periodic", "z": "dirichlet"}, "potential": {"z": [0, VOLTAGE]},
+    }  # fmt: skip
+    field = [{"kind": "uniform", "magnetic_field": [0, 0, 0.2]}]
+    run = Simulation(MPI.COMM_SELF, diode(VOLTAGE, cells, source, 5.0, domain=domain, elements=field))
+    fields = []
+    for state in run:
+        layer = state.solution.layers[4]
+        middle = np.abs(layer.columns.centre[:, 0]) < width
+        fields.append(-layer.at_wall[middle].mean() * GAP / VOLTAGE)
+    assert np.mean(fields[-len(fields) // 5 :]) == pytest.approx(expected, abs=0.01)
+
+
+def injected(times: list[float], parts: list[float]) -> Simulation:
+    """A beam of 100 eV into a gap between two walls at 0 V, of a current in time that is a multiple of Child's for 100 V."""
+    cells, flight = 32, GAP / SPEED
+    area = (4 * GAP / cells) ** 2
+    when, what = np.array(times) * flight, np.array(parts) * child(VOLTAGE) * area
+    source = {
+        "process": "given", "per_step": 64, "sampling": "sobol", "charge": -float(scipy.integrate.trapezoid(what, when)),
+        "momenta": {"kind": "beam", "energy": f"{VOLTAGE} eV"},
+        "pulse": {"shape": "table", "times": when.tolist(), "values": what.tolist()},
+    }  # fmt: skip
+    scene = diode(VOLTAGE, cells, source, 1.0)
+    domain = {**scene.domain.model_dump(), "potential": {}}
+    steps = int(when[-1] / scene.motion.dt)
+    return Simulation(MPI.COMM_SELF, scene.replace(domain=domain, schedule={"steps": steps}))
+
+
+@pytest.mark.long
+def test_a_beam_passes_a_gap_up_to_the_limit_of_bursian_and_again_below_half_of_it():
+    """Rising, all passes up to 8 of Child's current; falling, the virtual cathode stays down to 4."""
+    times, parts = [0.0, 10.0, 60.0, 65.0, 70.0, 120.0], [0.0, 7.0, 9.0, 9.0, 5.0, 3.2]
+    run, turned = injected(times, parts), []
+    for state in run:
+        turned.append((state.time * SPEED / GAP, int((state.lost.cause == 4).sum())))
+    time, count = np.array(turned).T
+    rate = np.gradient(count, time)
+    rising = np.interp(time[np.argmax(rate > 0)], times, parts)
+    falling = np.interp(time[len(rate) - 1 - np.argmax(rate[::-1] > 0)], times, parts)
+    assert rising == pytest.approx(8.0, rel=0.05)
+    assert falling == pytest.approx(4.0, rel=0.05)
+
+
+def langmuir(share: float, supply: float) -> float:
+    """Current over Child's of a planar diode with a Maxwellian supply, a multiple of Child's, and kT a share of e V.
+
+    A supply J_s above the current J has a minimum of φ, ln(J_s/J) kT below the cathode, that turns back what is too much. With
+    η = e (φ - φ_min) / kT the density goes with exp(η) (1 ± erf √η) on its two sides, which gives η'² and so the distances.
+    """
+
+    def distance(eta: float, sign: int) -> float:
+        def integrand(root: float) -> float:
+            if root < 1e-3:
+                return 2.0
+            tail = scipy.special.erfcx(root) - 1 + 2 * root / math.sqrt(math.pi)
+            return 2 * root / math.sqrt(tail if sign < 0 else 2 * math.expm1(root**2) - tail)
+
+        return float(scipy.integrate.quad(integrand, 0, math.sqrt(eta), limit=500)[0])
+
+    def excess(current: float) -> float:
+        behind = math.log(max(supply / current, 1.0))
+        length = share**0.75 * 1.5 / (math.pi**0.25 * math.sqrt(2 * current))
+        return length * (distance(behind, 1) + distance(1 / share + behind, -1)) - 1
+
+    if excess(supply) > 0:  # the field at the cathode pulls still
+        return supply
+    return float(scipy.optimize.brentq(excess, 0.5, supply))
+
+
+def test_the_exact_solution_has_known_currents():
+    for share, supply, expected in ((2e-4, 5.0, 1.0421), (2e-3, 1.5, 1.1298), (2e-3, 5.0, 1.1478)):
+        assert langmuir(share, supply) == pytest.approx(expected, abs=2e-4)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("supply", [0.8, 1.0, 1.1, 1.3, 1.8])
+def test_from_the_limit_of_temperature_to_that_of_space_charge(supply):
+    """The knee of Longo and Vaughan: sharp for an even surface, by Langmuir's exact solution with an exponent above 10."""
+    share = 2e-3
+    found, _ = current(diode(VOLTAGE, 32, hot(VOLTAGE, share, supply), 4.0))
+    part, limit = found / child(VOLTAGE), langmuir(share, 50.0)
+    assert part == pytest.approx(langmuir(share, supply), rel=0.01)
+    assert part > (supply**-10 + limit**-10) ** -0.1 * 0.99
+
+
+@pytest.mark.parametrize(("cells", "steps"), [(8, 12), (8, 24), pytest.param(16, 12, marks=pytest.mark.long)])
+def test_a_wall_against_a_full_field_gives_the_charge_that_shields_its_disc(cells, steps):
+    """ε₀ E π r² within a pulse of 1 ps, which stays within a thousandth of the radius, however often the wall looks."""
+    radius, field = 1e-3, 2e7
+    half, width = 1.5 * radius, radius / cells
+    source = {
+        "process": "space-charge-limited", "spot": {"shape": "disc", "radius": radius}, "stop": "1 ps",
+        "momenta": {"kind": "thermal", "energy": "0.1 eV"},
+    }  # fmt: skip
+    domain = {
+        "lower": [-half, -half, 0], "upper": [half, half, 48 * width], "cells": [3 * cells, 3 * cells, 48],
+        "boundary": {"x": "periodic", "y": "periodic", "z": "dirichlet"}, "potential": {"z": [0, 48 * width * field]},
+    }  # fmt: skip
+    motion: dict[str, Any] = {"kind": "leapfrog", "dt": 1.2e-12 / steps, "frame": "lab"}
+    run = Simulation(MPI.COMM_SELF, diode(1.0, 8, source, 1.0, domain=domain, motion=motion))
+    run.advance(steps)
+    assert -run.particles.own_charge == pytest.approx(0.55633e-9, rel=0.03)

@@ -18,6 +18,7 @@ from ..scene.electrodes import Electrode
 from ..scene.scene import Scene
 from ..shapes import Shape
 from ..shapes.scatter import Scatter, scattered
+from ..stages.gather import gather
 from ..stages.metal_layer import MetalLayer
 from ..stages.wall_layer import NormalField, WallLayer, of_component, of_potential
 from .solution import Solution
@@ -53,7 +54,9 @@ class EmittingWalls:
         """
         hierarchy = solution.rho.hierarchy
         of_metal = {
-            name: MetalLayer.of(self._in_front(hierarchy, name), solution.potential, solution.electric, particles)
+            name: MetalLayer.of(
+                self._in_front(hierarchy, name), solution.potential, solution.electric, particles, gather
+            )
             for name in self._metal
         }
         return of_metal | {

@@ -18,6 +18,7 @@ from ..particles.clouds import Clouds
 from ..particles.energy_bins import Frames
 from ..particles.frame import Frame
 from ..particles.particles import Particles
+from ..scene.motion import Leapfrog
 from ..scene.sources import GivenSource
 from ..stages.deposit import deposit
 from ..stages.push import IN_CACHE
@@ -112,7 +113,7 @@ def next_step(
     It grows with the time that the fastest of all processes takes, and is never shorter than the first one.
     """
     motion = setup.scene.motion
-    if motion.growth == 0:
+    if not isinstance(motion, Leapfrog) or motion.growth == 0:
         return setup.dt, setup.dt
     longest = state.longest
     if (state.step + 1) % EVERY_GROWTH == 0:

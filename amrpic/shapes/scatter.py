@@ -41,7 +41,8 @@ def scattered(shape: Shape, lower: ArrayLike, upper: ArrayLike, width: float) ->
         place = start[line[inside]]
         place[:, axis] = met[inside]
         normal = shape.normals(place, surface[inside], towards[inside, None] * np.eye(3)[axis])
-        places.append(place), normals.append(normal)
+        places.append(place)
+        normals.append(normal)
         areas.append(np.abs(normal[:, axis]) * float(((high - low) / count)[[u, v]].prod()))
     area = np.concatenate(areas)
     some = area > 0

@@ -28,7 +28,7 @@ def ball(x, y, z, radius, **drive):
 
 def wires():
     """Wires of a quarter of a cell, which a refined level alone sees."""
-    out = shapes.Cylinder((-0.7, -3, 0.03), (-0.7, 3, 0.03), 0.27 * H)
+    out: shapes.Shape = shapes.Cylinder((-0.7, -3, 0.03), (-0.7, 3, 0.03), 0.27 * H)
     for place in (-0.2, 0.3, 0.8):
         out = out | shapes.Cylinder((place, -3, 0.03), (place, 3, 0.03), 0.27 * H)
     return [Electrode("wires", out, voltage=1)]

@@ -15,6 +15,7 @@ from amrpic.pic.course import Course
 from amrpic.pic.simulation import Simulation
 from amrpic.pic.tallies import Tallies
 from amrpic.scene.scene import Scene
+from amrpic.stages.wall_layer import WallLayer
 from amrpic.units import BOLTZMANN, ELECTRON_MASS, ELEMENTARY_CHARGE, VACUUM_PERMITTIVITY
 from particle_cases import assert_same_bits
 
@@ -393,6 +394,7 @@ def test_fast_charge_in_bins_of_its_own_leaves_the_field_at_the_wall_zero(tmp_pa
     whole.advance(140)
     assert len(whole.state.solution.frames.members) > 1 and whole.state.solution.images is not None
     layer = whole.state.solution.layers[4]
+    assert isinstance(layer, WallLayer)
     inside = np.hypot(*layer.columns.centre[:, :2].T) < 2e-3
     assert np.abs(layer.at_wall[inside]).mean() < 0.03 * 5e4 / GAP
     whole.checkpoint(tmp_path / "late")

@@ -12,6 +12,7 @@ from mpi4py import MPI
 from test_emitting_walls import GAP, child, current, diode, hot
 
 from amrpic.pic.simulation import Simulation
+from amrpic.stages.wall_layer import WallLayer
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE
 
 VOLTAGE = 100.0
@@ -39,6 +40,7 @@ def test_a_strip_as_wide_as_the_gap_has_its_field_at_the_middle(part, expected):
     fields = []
     for state in run:
         layer = state.solution.layers[4]
+        assert isinstance(layer, WallLayer)
         middle = np.abs(layer.columns.centre[:, 0]) < width
         fields.append(-layer.at_wall[middle].mean() * GAP / VOLTAGE)
     assert np.mean(fields[-len(fields) // 5 :]) == pytest.approx(expected, abs=0.01)

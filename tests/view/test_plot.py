@@ -15,7 +15,7 @@ from amrpic.io.field_reader import CheckpointDump, Dump, open_dump
 from amrpic.io.provenance import Provenance
 from amrpic.mesh import raster
 from amrpic.units import quantity
-from amrpic.view import draw, views
+from amrpic.view import draw, figures, views
 
 DOMAIN = Domain(lower=(-0.02, -0.03, 0.01), upper=(0.02, 0.01, 0.17), cells=(16, 16, 32), boundary="dirichlet")
 LEVELS = [[((8, 8, 8), (23, 23, 47))], [((24, 24, 40), (39, 39, 55))]]

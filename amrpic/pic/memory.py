@@ -21,6 +21,10 @@ MESSAGES = 20 * MIB  # buffers of a process that has others to talk to
 QUIET = 44 * MIB  # SciPy's quasi-random numbers in a process
 DRAWING, RASTER = 55 * MIB, 4 * MIB  # matplotlib on rank 0, and a picture on each rank
 SOLVER = {"matrix-free": 12, "kokkos": 12, "crs": 340}  # of a cell: operators and vectors of all multigrid levels
+# Of a cell beside metal, on all levels of the cycle, and while a solver is set up.
+CUT_CELL = {"matrix-free": 400, "kokkos": 700, "crs": 1200}
+UNIT_SOLUTION = 8  # of a cell, for each electrode where one floats
+VARYING = 32  # of a cell, for each electrode whose voltage varies: potential and field
 # Of a cell and of a particle, by how these move: as they are before and after a step, and on their way.
 ONE_SOLVE = 68, 100
 MOVING = {"none": (80, 100), "leapfrog": (92, 215), "random-walk": (76, 280)}
@@ -37,15 +41,22 @@ class Share:
     particles: int
 
 
-def run_memory(scene: Scene, boxes: Sequence[Array], particles: int, ranks: int) -> dict[str, float]:
+def run_memory(
+    scene: Scene, boxes: Sequence[Array], particles: int, ranks: int, cut_cells: int = 0
+) -> dict[str, float]:
     """Return the bytes that a run takes over all ranks at its fullest, by what takes them.
 
-    `boxes` are those of each level, coarse to fine; a mesh that follows the particles may need more later.
+    `boxes` are those of each level, coarse to fine; a mesh that follows the particles may need more later. `cut_cells`: how
+    many of them lie beside metal.
     """
     quiet = any(isinstance(bunch, Train) and bunch.sampling != "random" for bunch in scene.bunches)
     of_cell, of_particle = ONE_SOLVE if scene.schedule.last_step == 0 else MOVING[scene.motion.kind]
     cells = _cells(boxes)
     groups = _groups(scene, cells, particles, ranks)
+    floats = any(electrode.charge is not None for electrode in scene.electrodes)
+    varying = sum(isinstance(electrode.voltage, str) for electrode in scene.electrodes)
+    of_electrodes = (UNIT_SOLUTION * len(scene.electrodes) if floats else 0) + VARYING * varying
+    metal = {"electrodes": CUT_CELL[scene.solver.backend] * cut_cells + of_electrodes * cells}
     return {
         "processes": ranks * (PROCESS + (MESSAGES if ranks > 1 else 0) + (QUIET if quiet else 0)),
         "solver": SOLVER[scene.solver.backend] * cells,
@@ -53,6 +64,7 @@ def run_memory(scene: Scene, boxes: Sequence[Array], particles: int, ranks: int)
         "particles": of_particle * particles,
         "files": sum(_buffers(scene, particles, group) for group in groups),
         "pictures": DRAWING + ranks * RASTER if "pictures" in scene.output.write else 0,
+        **(metal if scene.electrodes else {}),
     }
 
 
@@ -65,7 +77,7 @@ def rank_memory(scene: Scene, boxes: Sequence[Array], particles: int, ranks: int
     group = group_of(_groups(scene, cells, particles, ranks), own_share.rank)
     of_files = _buffers(scene, particles, group) if own_share.rank == group.start else 0
     of_pictures = RASTER + (DRAWING if own_share.rank == 0 else 0) if parts["pictures"] else 0
-    of_cells = (parts["solver"] + parts["fields"]) * own_share.cells / max(cells, 1)
+    of_cells = (parts["solver"] + parts["fields"] + parts.get("electrodes", 0)) * own_share.cells / max(cells, 1)
     of_particles = parts["particles"] * own_share.particles / max(particles, 1)
     return parts["processes"] / ranks + of_cells + of_particles + of_files + of_pictures
 

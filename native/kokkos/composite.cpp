@@ -159,7 +159,7 @@ void Composite::plan_faces(int l, OnLevel& level, std::vector<CompositeBox>& box
       auto const face_at = [&, u = u, v = v](int m, int row, std::int32_t fit) {
         int const x = 2 * (i.u + m), y = 2 * (i.v + row);
         return CoarseFace{std::int32_t(sides.size()), first + x * pitch[u] + y * pitch[v], first_ghost + x + y * nu,
-                          middle + m + row * plane_v, i.fluxes + m + row * i.nu,          fit};
+                          middle + m + row * plane_v, i.fluxes + m + row * i.nu,           fit};
       };
       for (int row = 0; row < i.nv; ++row)
         for (int m = 0; m < i.nu; ++m)
@@ -177,9 +177,12 @@ void Composite::plan_faces(int l, OnLevel& level, std::vector<CompositeBox>& box
         faces.push_back(face_at(m, row, ~gap_count++));
       });
       for (MetalFace const& metal : mesh_.metal_faces(l, face.interface)) {
-        FaceBesideMetal out{
-            face_at(metal.at.coarse[u] - behind[u] - i.u, metal.at.coarse[v] - behind[v] - i.v, 0), {}, {}, {},
-            metal.linked, metal.links > 0 ? metal.of_links() : 0};
+        FaceBesideMetal out{face_at(metal.at.coarse[u] - behind[u] - i.u, metal.at.coarse[v] - behind[v] - i.v, 0),
+                            {},
+                            {},
+                            {},
+                            metal.linked,
+                            metal.links > 0 ? metal.of_links() : 0};
         for (std::size_t b2 = 0; b2 < 2; ++b2)
           for (std::size_t a2 = 0; a2 < 2; ++a2)
             out.star[b2][a2] = metal.star(a2, b2), out.first[b2][a2] = metal.first(a2, b2),
@@ -213,7 +216,7 @@ CutCellPlace Composite::cut_cell(int l, int b, int k, CompositeMesh::CutHere con
     auto const [u, v] = tangential_axes(axis);
     Index3 const& cell = here.cell.cell;
     std::int32_t const on_face = (cell[u] - own.lower[u]) + own.extent(u) * (cell[v] - own.lower[v]);
-    out.datum[side] = here.cell.is_cut(side)       ? here.cell.electrode[side]
+    out.datum[side] = here.cell.is_cut(side)        ? here.cell.electrode[side]
                       : here.row.surface[side] != 0 ? ~(mesh_.plan(l, b).faces[side].wall + on_face)
                                                     : 0;
     if (here.is_inside(side)) {
@@ -252,7 +255,9 @@ void Composite::plan_rows(int l, OnLevel& level, std::vector<CompositeBox> const
       for (int k = 0; k < extent[2] && !kinds.empty(); ++k)
         mesh_.for_each_in_metal(
             l, int(b), k,
-            [&](CompositeMesh::CutHere const& here) { cut(k, std::size_t(here.place) + std::size_t(k) * in_plane, here); },
+            [&](CompositeMesh::CutHere const& here) {
+              cut(k, std::size_t(here.place) + std::size_t(k) * in_plane, here);
+            },
             [&](std::ptrdiff_t place, int) { solid(std::size_t(place) + std::size_t(k) * in_plane); });
     };
     for_each_in_metal([&](int, std::size_t cell, auto const&) { kinds[cell] = CellKind::cut; },
@@ -514,8 +519,7 @@ void Composite::fill_ghosts_beside_metal(int l) {
         FaceBesideMetal const& metal = level.beside_metal(n);
         FineSide const& side = level.sides(metal.face.side);
         FourStars<Real> stars{};
-        level.metal_terms.add(n, stars,
-                              [&](std::int32_t at) { return at >= 0 ? level.planes(at) : potentials(~at); });
+        level.metal_terms.add(n, stars, [&](std::int32_t at) { return at >= 0 ? level.planes(at) : potentials(~at); });
         Real sum = 0;
         for (int b = 0; b < 2; ++b)
           for (int a = 0; a < 2; ++a) {
@@ -551,8 +555,7 @@ void Composite::residuals_of_cut_cells(int l, Background const& background) {
             sum += cut.row.neighbour[side] * beyond;
           }
           if (cut.row.surface[side] != 0)
-            of_surfaces +=
-                cut.row.surface[side] * (datum >= 0 ? potentials(datum) : level.datum.array()(~datum));
+            of_surfaces += cut.row.surface[side] * (datum >= 0 ? potentials(datum) : level.datum.array()(~datum));
         }
         level.of_cut(cut.special) =
             cut.row.scale * background.right_hand_side(level.rho.array()(cut.cell)) - sum - of_surfaces;

@@ -30,8 +30,8 @@ struct CoarseFace {
   std::int32_t fit;  ///< its number, or ~(that of the gap)
 };
 
-/// A coarse face that metal makes other than those with fits, see MetalFace: what ghosts have of phi*, of the cell before
-/// them and of the next one.
+/// A coarse face that metal makes other than those with fits, see MetalFace: what ghosts have of phi*, of the cell
+/// before them and of the next one.
 struct FaceBesideMetal {
   CoarseFace face;
   FourStars<Real> star, first, second;

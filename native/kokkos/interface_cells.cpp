@@ -112,9 +112,8 @@ void InterfaceCells::subtract_flux(Array<float> const& e, Array<float> const& co
         if (face.fit < 0) coarse_values(face.parent) += side.flux_of_ghosts(on.taken(~face.fit));
       });
   for_each_beside_metal(
-      "take fluxes beside metal", KOKKOS_LAMBDA(std::int32_t n) {
-        coarse_values(on.beside_metal(n).parent) -= on.beside_metal(n).flux(e.data());
-      });
+      "take fluxes beside metal",
+      KOKKOS_LAMBDA(std::int32_t n) { coarse_values(on.beside_metal(n).parent) -= on.beside_metal(n).flux(e.data()); });
 }
 
 std::size_t InterfaceCells::bytes() const {

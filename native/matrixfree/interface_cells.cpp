@@ -81,11 +81,11 @@ void InterfaceCells::add_metal(InterfaceSide const& face, Box const& parents, st
     fits(cell) = no_fit;
     if (beside->links == 0) return;
     int const x = cell[u] - parents.lower[u], y = cell[v] - parents.lower[v];
-    MetalSide out{{std::int32_t(first_cell(face, x, y)),
-                   std::int32_t(face.parent + x * face.parent_u + y * face.parent_v), face.cell_u, face.cell_v,
-                   face.inward},
-                  2 * face.axis + face.side,
-                  {}};
+    MetalSide out{
+        {std::int32_t(first_cell(face, x, y)), std::int32_t(face.parent + x * face.parent_u + y * face.parent_v),
+         face.cell_u, face.cell_v, face.inward},
+        2 * face.axis + face.side,
+        {}};
     CutCell const* const cut = coarse_rows.cut_at(levels.wrapped(cell));
     std::size_t const toward = beside->at.inward();
     Real coarse = coarse_equation.weight[face.axis];
@@ -234,8 +234,7 @@ std::size_t InterfaceCells::bytes() const {
   std::size_t terms = 0;
   for (MetalSide const& side : metal_) terms += side.terms.size() * sizeof side.terms[0];
   return faces_.size() * sizeof(InterfaceSide) + fits_.size() + window_.bytes() + metal_.size() * sizeof(MetalSide) +
-         terms +
-         gaps_.size() * (sizeof(GapFit const*) + sizeof taken_[0]) + parts_.size() * sizeof(WindowPart) +
+         terms + gaps_.size() * (sizeof(GapFit const*) + sizeof taken_[0]) + parts_.size() * sizeof(WindowPart) +
          (plane_.size() + rows_.size()) * sizeof(float);
 }
 

@@ -178,8 +178,7 @@ class LevelAssembly {
   CellShape shape_of(StencilCells const& n, Index3 const& cell, Execution execution) {
     CellShape out = cell_shape(n, cell, execution, gaps_);
     for (int axis = 0; metal_ && axis < 3; ++axis)
-      for (int side = 0; side < 2; ++side)
-        out[axis][side].metal = metal_->face(cell, axis, side, out[axis][side]);
+      for (int side = 0; side < 2; ++side) out[axis][side].metal = metal_->face(cell, axis, side, out[axis][side]);
     return out;
   }
 
@@ -233,7 +232,8 @@ class LevelAssembly {
         },
         [&](int axis, int side) {
           Form out = near_.across(shape[axis][side], axis, side);
-          if (open && is_at(axis, side, Boundary::open)) out += open_walls_.first(l_, cut.cell, axis, side) * near_.own();
+          if (open && is_at(axis, side, Boundary::open))
+            out += open_walls_.first(l_, cut.cell, axis, side) * near_.own();
           return out;
         }));
   }

@@ -108,9 +108,8 @@ MultigridOperators CrsBackend::assembled(Reusable& reusable) {
   Assembled former;
   if (reusable.operators) former = std::move(*reusable.operators);
   if (problem_.metal) former = {};
-  auto const assembled = std::make_shared<Assembled>(assemble(hierarchy_.comm(), multigrid_levels_,
-                                                              problem_.options.prolongation, std::move(former),
-                                                              problem_.metal.get()));
+  auto const assembled = std::make_shared<Assembled>(assemble(
+      hierarchy_.comm(), multigrid_levels_, problem_.options.prolongation, std::move(former), problem_.metal.get()));
   reusable.operators = problem_.metal ? nullptr : assembled;
   levels_assembled_ = assembled->made;
   return assembled->operators;

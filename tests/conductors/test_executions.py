@@ -21,7 +21,9 @@ OTHERS = ["kokkos", "crs"]
 
 
 def ball(x, y, z, radius, **drive):
-    return Electrode("free" if "charge" in drive else "ball", shapes.Sphere((x, y, z), radius), **(drive or {"voltage": 1}))
+    return Electrode(
+        "free" if "charge" in drive else "ball", shapes.Sphere((x, y, z), radius), **(drive or {"voltage": 1})
+    )
 
 
 def wires():

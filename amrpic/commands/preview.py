@@ -24,7 +24,7 @@ from ..mpi import MPI
 from ..particles.particles import Particles, concatenate
 from ..pic.adapt import follow, make_base
 from ..pic.course import Course
-from ..pic.cut_metal import describe
+from ..pic.cut_metal import cut_cells, describe
 from ..pic.forecast import forecast
 from ..pic.frames import first_frames
 from ..pic.initial_particles import make_bunches, start_of
@@ -220,7 +220,7 @@ def _memory(beam: MeshedParticles, particles: int, ranks: int, setup: Setup) -> 
     """Return how much memory a run takes, and by what. Collective."""
     hierarchy, mesh = _last_mesh(beam, setup)
     boxes = [hierarchy.boxes(level) for level in range(hierarchy.levels)]
-    parts = run_memory(setup.scene, boxes, particles, ranks)
+    parts = run_memory(setup.scene, boxes, particles, ranks, cut_cells(beam.drive.electrodes, hierarchy))
     of = "1 rank" if ranks == 1 else f"{ranks} ranks"
     return [
         f"memory of a run on {of}: about {sum(parts.values()) / MIB:.0f} MiB at its fullest, {mesh}; "

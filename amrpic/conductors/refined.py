@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cache, partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +17,36 @@ from .edges import edge_cells
 Bools = NDArray[np.bool_]
 # (electrodes, boxes (n, 6) of a level, its origin and spacing in m) -> a bool per cell, box after box, x fastest
 Beside = Callable[[Sequence[Conductor], ArrayLike, ArrayLike, ArrayLike], Bools]
+
+
+@dataclass
+class Remembered:
+    """A function that marks cells beside electrodes, which does not trace these again for boxes that it has marked last."""
+
+    mark: Beside
+    _known: list[tuple[object, dict[bytes, Bools]]] = field(default_factory=list)  # of the latest questions
+    _MOST = 16  # levels of a mesh, for a few sets of electrodes
+
+    def __call__(
+        self, electrodes: Sequence[Conductor], boxes: ArrayLike, origin: ArrayLike, spacing: ArrayLike
+    ) -> Bools:
+        rows = np.reshape(np.asarray(boxes, np.int64), (-1, 6))
+        where = [electrode.shape for electrode in electrodes], np.asarray(origin).tolist(), np.asarray(spacing).tolist()
+        known = next((marks for asked, marks in self._known if asked == where), {})
+        names = [row.tobytes() for row in rows]
+        new = [name not in known for name in names]
+        sizes = (rows[new, 3:] - rows[new, :3] + 1).prod(axis=1)
+        found = np.split(self.mark(electrodes, rows[new], origin, spacing), np.cumsum(sizes)[:-1]) if any(new) else []
+        of_new = iter(found)
+        marks = {name: next(of_new) if is_new else known[name] for name, is_new in zip(names, new, strict=True)}
+        self._known = [(where, marks), *(one for one in self._known if one[0] != where)][: self._MOST]
+        return np.concatenate([np.empty(0, bool), *(marks[name] for name in names)])
+
+
+@cache
+def remembered_edges(angle: float) -> Remembered:
+    """Return `beside_edges` of an angle."""
+    return Remembered(partial(beside_edges, angle=angle))
 
 
 def beside_surfaces(electrodes: Sequence[Conductor], boxes: ArrayLike, origin: ArrayLike, spacing: ArrayLike) -> Bools:
@@ -58,3 +90,6 @@ def hidden_in(electrode: Conductor, lattice: Lattice) -> tuple[Ints, Ints] | Non
     if np.count_nonzero(upper - lower < 1) < 2:
         return None
     return np.floor(lower + 0.5).astype(np.int64), np.floor(upper + 0.5).astype(np.int64)
+
+
+remembered_surfaces = Remembered(beside_surfaces)

@@ -34,13 +34,22 @@ def describe(electrodes: Sequence[Electrode], hierarchy: Hierarchy) -> list[str]
     """Return a line for each electrode on the finest cells of a mesh. Collective."""
     if not electrodes:
         return []
-    comm, domain = hierarchy.comm, hierarchy.domain
-    own = [
-        arms_of_boxes(electrodes, boxes, domain.lower, hierarchy.spacing(level))[0]
+    parts = hierarchy.comm.allgather(_own_arms(electrodes, hierarchy))
+    return _lines(electrodes, [arms for part in parts for arms in part], "of all levels")
+
+
+def cut_cells(electrodes: Sequence[Electrode], hierarchy: Hierarchy) -> int:
+    """Return the number of cells of a mesh beside metal. Collective."""
+    return hierarchy.comm.allreduce(sum(len(arms.cell) for arms in _own_arms(electrodes, hierarchy)))
+
+
+def _own_arms(electrodes: Sequence[Electrode], hierarchy: Hierarchy) -> list[CutArms]:
+    """Return the arms of the boxes of this rank that metal cuts, by levels. Local."""
+    return [
+        arms_of_boxes(electrodes, boxes, hierarchy.domain.lower, hierarchy.spacing(level))[0]
         for level in range(hierarchy.levels)
-        if len(boxes := hierarchy.boxes(level)[hierarchy.owners(level) == comm.rank])
+        if electrodes and len(boxes := hierarchy.boxes(level)[hierarchy.owners(level) == hierarchy.comm.rank])
     ]
-    return _lines(electrodes, [arms for part in comm.allgather(own) for arms in part], "of all levels")
 
 
 def _lines(electrodes: Sequence[Electrode], parts: Sequence[CutArms], where: str) -> list[str]:

@@ -21,8 +21,11 @@ MESSAGES = 20 * MIB  # buffers of a process that has others to talk to
 QUIET = 44 * MIB  # SciPy's quasi-random numbers in a process
 DRAWING, RASTER = 55 * MIB, 4 * MIB  # matplotlib on rank 0, and a picture on each rank
 TRACING, OUTLINES = 30 * MIB, 30 * MIB  # electrodes: their surfaces on each rank, and in pictures
-ELECTRODE = 32  # of a cell, for each: the potential and field of a volt
 SOLVER = {"matrix-free": 12, "kokkos": 12, "crs": 340}  # of a cell: operators and vectors of all multigrid levels
+# Of a cell beside metal, on all levels of the cycle, and while a solver is set up.
+CUT_CELL = {"matrix-free": 400, "kokkos": 700, "crs": 1200}
+UNIT_SOLUTION = 8  # of a cell, for each electrode where one floats
+VARYING = 32  # of a cell, for each electrode whose voltage varies: potential and field
 # Of a cell and of a particle, by how these move: as they are before and after a step, and on their way.
 ONE_SOLVE = 68, 100
 MOVING = {"none": (80, 100), "leapfrog": (92, 215), "random-walk": (76, 280)}
@@ -39,16 +42,22 @@ class Share:
     particles: int
 
 
-def run_memory(scene: Scene, boxes: Sequence[Array], particles: int, ranks: int) -> dict[str, float]:
+def run_memory(
+    scene: Scene, boxes: Sequence[Array], particles: int, ranks: int, cut_cells: int = 0
+) -> dict[str, float]:
     """Return the bytes that a run takes over all ranks at its fullest, by what takes them.
 
-    `boxes` are those of each level, coarse to fine; a mesh that follows the particles may need more later.
+    `boxes` are those of each level, coarse to fine; a mesh that follows the particles may need more later. `cut_cells`: how
+    many of them lie beside metal.
     """
     quiet = any(isinstance(bunch, Train) and bunch.sampling != "random" for bunch in scene.bunches)
     of_cell, of_particle = ONE_SOLVE if scene.schedule.last_step == 0 else MOVING[scene.motion.kind]
     cells = _cells(boxes)
     groups = _groups(scene, cells, particles, ranks)
-    electrodes = ranks * TRACING + ELECTRODE * cells * len(scene.electrodes)
+    floats = any(electrode.charge is not None for electrode in scene.electrodes)
+    varying = sum(isinstance(electrode.voltage, str) for electrode in scene.electrodes)
+    of_cell_of_metal = (UNIT_SOLUTION * len(scene.electrodes) if floats else 0) + VARYING * varying
+    electrodes = ranks * TRACING + CUT_CELL[scene.solver.backend] * cut_cells + of_cell_of_metal * cells
     return {
         "processes": ranks * (PROCESS + (MESSAGES if ranks > 1 else 0) + (QUIET if quiet else 0)),
         "solver": SOLVER[scene.solver.backend] * cells,

@@ -51,11 +51,6 @@ class Drive:
 NO_ELECTRODES = Drive()
 
 
-def same_metal(some: Sequence[Electrode], others: Sequence[Electrode]) -> bool:
-    """Whether electrodes differ in voltages and charges alone."""
-    return [(e.name, e.shape) for e in some] == [(e.name, e.shape) for e in others]
-
-
 def _seen_from(window: Window, electrode: Electrode) -> Electrode:
     if window == Window(pivot=window.pivot):
         return electrode

@@ -7,6 +7,7 @@ from functools import reduce
 from operator import add
 from typing import NamedTuple
 
+from ..conductors.metal import MetalOnMesh
 from ..errors import SolverError
 from ..mesh.field import Field, Function, VectorField
 from ..mesh.hierarchy import Hierarchy
@@ -15,7 +16,7 @@ from ..particles.energy_bins import Frames
 from ..particles.frame import LABORATORY, Frame
 from ..scene.solver_options import SolverSection
 from ..stages.poisson import PoissonSolver, SolveReport
-from .drive import NO_ELECTRODES, Drive, same_metal
+from .drive import NO_ELECTRODES, Drive
 
 CONSTANT = ""  # name of what walls and constant voltages hold together
 
@@ -51,7 +52,8 @@ class Solvers:
         self._apart: dict[
             str, Potential
         ] = {}  # of walls and constant voltages, and of each electrode at 1 V that varies
-        self._metal: tuple[Hierarchy | None, Drive] = None, NO_ELECTRODES  # mesh and electrodes of these
+        self._mesh: Hierarchy | None = None  # of these
+        self._metal: MetalOnMesh | None = None  # of these
         self._reports: list[SolveReport] = []
 
     def poisson(
@@ -67,8 +69,7 @@ class Solvers:
         electrodes = self.drive.with_charge(frame == LABORATORY and not part)
         solver = self._kept.get((frame, part))
         serves = solver is not None and solver.hierarchy is hierarchy and solver.mirror == mirror
-        if solver is not None and serves and same_metal(solver.electrodes, electrodes):
-            solver.electrodes = electrodes
+        if solver is not None and serves and solver.takes(electrodes):
             return solver
         reuse = solver.base_setup if solver is not None and options.reuse else None
         # the old operators go before the new ones come
@@ -148,14 +149,16 @@ class Solvers:
 
     def _forget_others(self, hierarchy: Hierarchy) -> None:
         """Forget what was solved for apart from charge on another mesh, or with other metal."""
-        if self._metal[0] is not hierarchy or not same_metal(self._metal[1].electrodes, self.drive.electrodes):
-            self._apart, self._metal = {}, (hierarchy, self.drive)
+        same = self._metal is None or self._metal.becomes(self.drive.electrodes, hierarchy.comm)
+        if self._mesh is not hierarchy or not same:
+            self._apart, self._mesh, self._metal = {}, hierarchy, None
 
     def _alone(self, name: str, constant: Sequence[str], hierarchy: Hierarchy, covered: str) -> Potential:
         """Return φ and E of an electrode at 1 V, or of walls and constant voltages, without charge. Collective."""
         of_walls = name == CONSTANT
         electrodes = self.drive.alone(*constant) if of_walls else self.drive.alone(name, volts=1.0)
         solver = PoissonSolver(hierarchy, options=self._options, background=self._background, electrodes=electrodes)
+        self._metal = solver.metal
         walls = (self._potential, self._slope) if of_walls else (None, None)
         try:
             phi, report = solver.solve(Field(hierarchy), None, *walls)

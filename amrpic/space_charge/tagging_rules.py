@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import partial
 
 import numpy as np
 
 from ..conductors.conductor import Conductor
-from ..conductors.refined import beside_edges, beside_surfaces
+from ..conductors.refined import remembered_edges, remembered_surfaces
 from ..mesh.domain import AXES, Domain
 from ..mesh.hierarchy import Hierarchy
 from ..scene.refinement import Refinement
@@ -80,10 +79,10 @@ def _tags(rule: RuleKind, quantities: QuantitiesOnMesh, part: float) -> Tags:
             return tag.inside(quantities.hierarchy, _layers(rule, quantities))
         case ConductorsRule():
             return tag.at_electrodes(
-                quantities.hierarchy, _named(quantities.electrodes, rule.electrodes), beside_surfaces
+                quantities.hierarchy, _named(quantities.electrodes, rule.electrodes), remembered_surfaces
             )
         case ConductorEdgesRule():
-            beside = partial(beside_edges, angle=rule.angle)
+            beside = remembered_edges(rule.angle)
             return tag.at_electrodes(quantities.hierarchy, _named(quantities.electrodes, rule.electrodes), beside)
         case MomentumRule():
             return _by_momentum(rule, quantities, part)

@@ -131,6 +131,7 @@ class PoissonSolver:
         if self.electrodes and (refusal := _electrodes_refusal(self.electrodes, hierarchy, chosen, mirror)):
             raise SolverError(refusal)
         metal = MetalOnMesh(self.electrodes, hierarchy.domain.lower, chosen.stretch) if self.electrodes else None
+        self.metal = metal  # as its cells see it; None without electrodes
         self._unit_potentials: list[Field] | None = None  # of each electrode at 1 V, when they are first needed
         self._unit_walls: list[list[np.ndarray]] = []  # what walls, open ones too, hold then
         self._units: list[
@@ -163,6 +164,17 @@ class PoissonSolver:
             with together(hierarchy.comm, SolverError):
                 metal.finish()
             self._require_arms_at_electrodes()
+
+    def takes(self, electrodes: Sequence[Electrode]) -> bool:
+        """Let electrodes take the place of its own, if its cells see the same metal. Returns whether they did. Collective."""
+        same = (
+            not (electrodes or self.electrodes)
+            if self.metal is None
+            else self.metal.becomes(electrodes, self.hierarchy.comm)
+        )
+        if same:
+            self.electrodes = tuple(electrodes)
+        return same
 
     def _require_arms_at_electrodes(self) -> None:
         """Refuse electrodes that no cell sees. Collective."""

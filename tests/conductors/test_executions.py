@@ -17,7 +17,7 @@ from rank_subsets import first_ranks, wait_quietly
 N = 16
 H = 2 / N
 FACES = {"x": ("dirichlet", "neumann"), "y": "periodic", "z": "dirichlet"}
-OTHERS = ["kokkos", "crs"]
+OTHERS = ["kokkos", pytest.param("crs", marks=pytest.mark.long)]
 
 
 def ball(x, y, z, radius, **drive):
@@ -106,6 +106,7 @@ def test_residual_potential_charges_and_cycles_are_those_of_the_matrix_free_back
     assert list(said.charges.values()) == pytest.approx(list(report.charges.values()), abs=1e-11 * largest)
 
 
+@pytest.mark.long
 @pytest.mark.mpi(ranks=4, timeout=180)
 @pytest.mark.parametrize("backend", OTHERS)
 @pytest.mark.parametrize("name", ["on a corner of a refined box", "a foil through three levels"])

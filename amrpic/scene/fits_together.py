@@ -105,7 +105,7 @@ def _box(scene: SceneParts, box: StaticBox, path: str) -> None:
 
 
 def _conductors(scene: SceneParts) -> None:
-    names = [electrode.name for electrode in scene.electrodes]
+    names = [conductor.name for conductor in scene.conductors]
     for path, rule in every_rule(scene.refinement.rule, "refinement.rule"):
         if not isinstance(rule, RuleOfElectrodes):
             continue
@@ -174,7 +174,7 @@ def _screening(scene: SceneParts) -> None:
 
 
 def _electrodes(scene: SceneParts) -> None:
-    if not scene.electrodes:
+    if not scene.conductors:
         return
     for path, found, known in (
         ("solver.backend", scene.solver.backend, "matrix-free"),

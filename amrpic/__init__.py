@@ -52,7 +52,7 @@ from .scene.elements import (  # noqa: E402
     UniformElement,
 )
 from .scene.motion import Leapfrog, NoMotion, RandomWalk  # noqa: E402
-from .scene.obstacles import EllipticAperture, RectangularAperture, RoundAperture, Screen  # noqa: E402
+from .scene.obstacles import EllipticAperture, RectangularAperture, RoundAperture, Screen, SolidAperture  # noqa: E402
 from .scene.refinement import Refinement  # noqa: E402
 from .scene.refinement_rules import (  # noqa: E402
     AllRule,
@@ -128,6 +128,7 @@ __all__ = [
     "Screen",
     "Simulation",
     "SolenoidElement",
+    "SolidAperture",
     "SolveReport",
     "SolverError",
     "SolverOptions",

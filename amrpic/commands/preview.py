@@ -276,7 +276,7 @@ def _pictures(scene: Scene, rho: Field, start: float, window: Window) -> list[Pa
     path = scene.directory / FILE
     vtkhdf_writer.write(path, rho.hierarchy, {"rho": rho}, 0, start, about(scene), writers_of(scene), window)
     dump = LiveDump(path, rho.hierarchy, {"rho": rho}, 0, start, about(scene).scene_text, window)
-    kinds = ("projection", "slice") if scene.electrodes else ("projection",)
+    kinds = ("projection", "slice") if scene.conductors else ("projection",)
     with progress("drawing pictures"):
         return [
             path,

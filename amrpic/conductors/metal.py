@@ -6,10 +6,10 @@ import hashlib
 from collections.abc import Sequence
 
 import numpy as np
-from mpi4py import MPI
 
 from .. import _native
 from ..errors import SolverError
+from ..mpi import MPI
 from ..parallel import together
 from .arms import Contact, Lattice, arms_of_boxes, indices, sentence
 from .conductor import Conductor

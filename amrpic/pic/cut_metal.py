@@ -18,7 +18,7 @@ from .driven_electrodes import make_electrodes
 
 def describe_scene(scene: Scene) -> list[str]:
     """Return a line for each electrode of a scene, on its base level. Serial; raises InputError."""
-    if not scene.electrodes:
+    if not scene.conductors:
         return []
     domain = scene.domain.value
     arms, _ = arms_of_boxes(

@@ -7,25 +7,50 @@ from functools import partial
 
 import numpy as np
 
+from .. import _native
 from ..conductors.contacts import refuse_contacts
 from ..errors import InputError
 from ..mpi import MPI
 from ..parallel import from_rank_0
 from ..scene.electrodes import Electrode
+from ..scene.obstacles import Aperture, SolidAperture, aperture_names
 from ..scene.scene import Scene
+from ..stages.encounters import native_aperture
 from .records import Record
 
 
 def electrodes_of(comm: MPI.Comm, scene: Scene) -> tuple[Electrode, ...]:
     """Return the electrodes of a scene, of which rank 0 reads files. Collective; InputError on all ranks."""
-    return from_rank_0(comm, partial(make_electrodes, scene), InputError) if scene.electrodes else ()
+    return from_rank_0(comm, partial(make_electrodes, scene), InputError) if scene.conductors else ()
 
 
 def make_electrodes(scene: Scene) -> tuple[Electrode, ...]:
     """Return the electrodes of a scene. Raises InputError for a file that is no shape, and for those that touch."""
-    electrodes = tuple(electrode.value for electrode in scene.electrodes)
+    electrodes = tuple(conductor.value for conductor in scene.conductors)
     refuse_contacts(electrodes)
     return electrodes
+
+
+def obstacles_of(comm: MPI.Comm, scene: Scene, electrodes: Sequence[Electrode]) -> list[_native.Aperture | Electrode]:
+    """Return what stops particles: apertures, of which those of metal are among the `electrodes`, and the other electrodes.
+
+    Collective; InputError on all ranks.
+    """
+    of_any_shape = any(isinstance(aperture, SolidAperture) for aperture in scene.apertures)
+    solids = from_rank_0(comm, partial(make_solids, scene), InputError) if of_any_shape else {}
+    known = {**solids, **{electrode.name: electrode for electrode in electrodes}}
+    pairs = zip(aperture_names(scene.apertures), scene.apertures, strict=True)
+    apertures = [
+        native_aperture(aperture) if isinstance(aperture, Aperture) and not aperture.field else known[name]
+        for name, aperture in pairs
+    ]
+    return [*apertures, *electrodes[: len(scene.electrodes)]]
+
+
+def make_solids(scene: Scene) -> dict[str, Electrode]:
+    """Return apertures of any shape by their names. Raises InputError for a file that is no shape."""
+    pairs = zip(aperture_names(scene.apertures), scene.apertures, strict=True)
+    return {name: Electrode(name, a.shape.value, 0.0) for name, a in pairs if isinstance(a, SolidAperture)}
 
 
 def collected(comm: MPI.Comm, lost: Record, electrodes: Sequence[Electrode]) -> dict[str, float]:

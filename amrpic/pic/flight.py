@@ -103,10 +103,9 @@ def migrate(state: State, moved: Particles, born: Born | None, setup: Setup) -> 
     if born is not None:
         start, moved, tallies = np.concatenate([start, born.start]), concatenate([moved, born.particles]), born.tallies
     flights = Flights(start, moved.position, hierarchy.domain, state.window, window)
-    if (scene.apertures or scene.electrodes or scene.screens) and any(hierarchy.domain.periodic):
+    if (setup.obstacles or scene.screens) and any(hierarchy.domain.periodic):
         _require_followable(setup.comm, flights)
-    stops = scene.apertures or scene.electrodes
-    stopped = flights.losses(setup.apertures, setup.electrodes) if stops else NOTHING
+    stopped = flights.losses(setup.obstacles) if setup.obstacles else NOTHING
     particles, outside, missing, deposition = _migrated(state, moved, stopped.flight, setup)
     lost = replace(stopped, what=stopped.what + len(FACES))
     if len(outside) > 0:

@@ -14,7 +14,7 @@ from ..parallel import global_max, global_sum, node_of, raise_together
 from ..run.machine import available_memory, resident
 from ..scene.domain_section import LARGEST_INDEX
 from ..scene.scene import Scene
-from .driven_electrodes import make_electrodes
+from .driven_electrodes import make_electrodes, make_solids
 from .memory import Share, base_boxes, rank_memory, run_memory
 
 
@@ -55,6 +55,7 @@ def check_scene(scene: Scene, ranks: int, available: int | None = None) -> None:
             )
     ExternalFields.of_scene(scene)
     make_electrodes(scene)
+    make_solids(scene)
     _refuse(scene, base_boxes(scene), scene.particle_count(), ranks, available, "domain.cells")
 
 

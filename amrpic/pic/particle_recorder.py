@@ -58,7 +58,7 @@ class ParticleRecorder(Recorder[State]):
         self._turned = False  # whether it was remarked that files show the mesh along other axes than its own
         scene = setup.scene
         super().__init__(setup.comm, scene, setup.clock, state, resumed, log, sum(state.seconds.values()))
-        if scene.electrodes and "fields" in self._wanted:
+        if scene.conductors and "fields" in self._wanted:
             with together(setup.comm, OutputError):
                 if setup.comm.rank == 0:
                     surface_files.write(scene.directory / surface_files.FILE, setup.electrodes, scene.domain.value)

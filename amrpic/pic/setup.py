@@ -24,8 +24,8 @@ from ..scene.scene import Scene
 from ..space_charge.drive import NO_ELECTRODES, Drive
 from ..space_charge.solvers import Solvers
 from ..stages.diagnostics import moments
-from ..stages.encounters import native_aperture, native_screen
-from .driven_electrodes import collected, electrodes_of
+from ..stages.encounters import native_screen
+from .driven_electrodes import collected, electrodes_of, obstacles_of
 from .emitters import Emitter, emitters_of
 from .emitting_walls import EmittingWalls
 from .field_functions import FieldFunction, FieldFunctions
@@ -45,8 +45,8 @@ class Setup:
     dt: float  # s; nan as long as it is to be chosen, 0 where motion follows no field
     external: ExternalFields  # of the scene's elements
     fields: FieldFunctions  # from Python
-    apertures: list[_native.Aperture]
-    electrodes: tuple[Electrode, ...]  # in the laboratory
+    electrodes: tuple[Electrode, ...]  # what the field ends on, in the laboratory
+    obstacles: list[_native.Aperture | Electrode]  # what stops particles, likewise
     screens: list[_native.Screen]
     move: Mover
     solvers: Solvers
@@ -86,8 +86,8 @@ def set_up(comm: MPI.Comm, scene: Scene, fields: Sequence[FieldFunction] = ()) -
         math.nan if motion.dt == "auto" else motion.dt,
         ExternalFields.of_scene(scene, _maps(comm, scene)),
         FieldFunctions(comm, fields),
-        [native_aperture(aperture) for aperture in scene.apertures],
         electrodes,
+        obstacles_of(comm, scene, electrodes),
         [native_screen(screen) for screen in scene.screens],
         mover_of(scene),
         Solvers(

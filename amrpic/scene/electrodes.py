@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Self
 
@@ -17,7 +18,7 @@ from ..units import UNITS
 from .complaints import complaint
 from .electrode_shapes import ShapeKind
 from .expression import formula
-from .obstacles import Obstacle
+from .obstacles import AnyAperture, Obstacle, aperture_names
 from .units import NUMBER, Charge, to_si
 
 # Numbers with a unit in a formula: "5 kV*cos(2*pi*1 MHz*t)".
@@ -162,3 +163,27 @@ class ElectrodeSection(Obstacle):
     def value(self) -> Electrode:
         """The electrode, its shape read from files where it is in any. Raises InputError."""
         return Electrode(self.name, self.shape.value, self.voltage, self.charge)
+
+
+@dataclass(frozen=True)
+class ApertureMetal:
+    """An aperture that the field ends on: metal at 0 V."""
+
+    name: str
+    aperture: AnyAperture
+    domain: float  # m, the farthest that a place of the domain is from 0
+    voltage: float = 0.0
+
+    @property
+    def value(self) -> Electrode:
+        """It as an electrode. Raises InputError."""
+        return Electrode(self.name, self.aperture.solid(self.domain), self.voltage)
+
+
+def apertures_of_metal(
+    apertures: Sequence[AnyAperture], lower: Sequence[float] | np.ndarray, upper: Sequence[float] | np.ndarray
+) -> list[ApertureMetal]:
+    """Return the apertures that the field ends on, in a domain."""
+    domain = float(np.linalg.norm(np.abs([lower, upper]).max(axis=0)))
+    pairs = zip(aperture_names(apertures), apertures, strict=True)
+    return [ApertureMetal(name, aperture, domain) for name, aperture in pairs if aperture.field]

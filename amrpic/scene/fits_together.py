@@ -101,7 +101,7 @@ def _box(scene: SceneParts, box: StaticBox, path: str) -> None:
 
 
 def _conductors(scene: SceneParts) -> None:
-    names = [electrode.name for electrode in scene.electrodes]
+    names = [conductor.name for conductor in scene.conductors]
     for path, rule in every_rule(scene.refinement.rule, "refinement.rule"):
         if not isinstance(rule, RuleOfElectrodes):
             continue
@@ -167,7 +167,7 @@ def _screening(scene: SceneParts) -> None:
 
 
 def _electrodes(scene: SceneParts) -> None:
-    if not scene.electrodes:
+    if not scene.conductors:
         return
     if scene.solver.order != 2:
         raise complaint("does not know electrodes", "set it to 2", path="solver.order", found=scene.solver.order)

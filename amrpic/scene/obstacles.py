@@ -4,15 +4,22 @@ from __future__ import annotations
 
 import math
 import re
+from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Annotated, Literal, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 
+from ..mesh.directions import axes
+from ..shapes import Box, Cylinder, Shape
+from ..shapes.shape import placed
+from .electrode_shapes import ShapeKind
 from .section import Section
 from .units import Angle, Direction3, Length, Length3
 
 HalfWidth = Annotated[Length, Field(gt=0)]
+SEEN = "Whether the field ends on it, as on an electrode at 0 V; without that particles alone meet it."
 
 
 class Obstacle(Section):
@@ -55,6 +62,20 @@ class Aperture(Turned):
     length: Length | None = Field(
         default=None, gt=0, description="Of the solid along its z, m; without it the solid has no ends."
     )
+    field: bool = Field(default=False, description=SEEN)
+
+    @abstractmethod
+    def _hole(self, far: float) -> Shape:
+        """Return the hole in its own axes, as long as it reaches, m."""
+
+    def solid(self, domain: float) -> Shape:
+        """Return it as a body, as far as it may reach into a domain whose places are at most so far from 0, m."""
+        far = 2 * (domain + math.hypot(*self.centre))
+        half = far if self.length is None else self.length / 2
+        body: Shape = Box((-far, -far, -half), (far, far, half))
+        if self.reach is not None:
+            body = body & Cylinder((0, 0, -far), (0, 0, far), self.reach)
+        return placed(body - self._hole(2 * far), np.array(axes(self.direction, self.roll)).T, self.centre)
 
 
 class RoundAperture(Aperture):
@@ -63,12 +84,18 @@ class RoundAperture(Aperture):
     kind: Literal["round"] = "round"
     radius: Length = Field(gt=0, description="Of the hole, m.")
 
+    def _hole(self, far: float) -> Shape:
+        return Cylinder((0, 0, -far), (0, 0, far), self.radius)
+
 
 class EllipticAperture(Aperture):
     """An elliptic hole."""
 
     kind: Literal["elliptic"] = "elliptic"
     half_widths: tuple[HalfWidth, HalfWidth] = Field(description="Half axes of the hole along x and y, m.")
+
+    def _hole(self, far: float) -> Shape:
+        return Cylinder((0, 0, -far), (0, 0, far), 1.0).scaled((*self.half_widths, 1.0))
 
 
 class RectangularAperture(Aperture):
@@ -77,8 +104,27 @@ class RectangularAperture(Aperture):
     kind: Literal["rectangular"] = "rectangular"
     half_widths: tuple[HalfWidth, HalfWidth] = Field(description="Of the hole along x and y, m.")
 
+    def _hole(self, far: float) -> Shape:
+        x, y = self.half_widths
+        return Box((-x, -y, -far), (x, y, far))
 
-AnyAperture = Annotated[RoundAperture | EllipticAperture | RectangularAperture, Field(discriminator="kind")]
+
+class SolidAperture(Obstacle):
+    """A solid of any shape."""
+
+    kind: Literal["solid"] = "solid"
+    name: str = Field(default="", description="A name of your own, in the records; aperture_0, … if not given.")
+    shape: ShapeKind = Field(description="The solid.")
+    field: bool = Field(default=False, description=SEEN)
+
+    def solid(self, domain: float) -> Shape:
+        """Return the body, read from files where it is in any. Raises InputError."""
+        return self.shape.value
+
+
+AnyAperture = Annotated[
+    RoundAperture | EllipticAperture | RectangularAperture | SolidAperture, Field(discriminator="kind")
+]
 
 
 class Screen(Turned):
@@ -101,7 +147,7 @@ class Screen(Turned):
         return self
 
 
-def aperture_names(apertures: Sequence[Aperture]) -> tuple[str, ...]:
+def aperture_names(apertures: Sequence[AnyAperture]) -> tuple[str, ...]:
     """Return a name for each aperture."""
     return tuple(aperture.name or f"aperture_{number}" for number, aperture in enumerate(apertures))
 
@@ -115,11 +161,11 @@ def repeated_names(names: Iterable[str], reserved: Iterable[str] = ()) -> Iterat
         earlier.add(name)
 
 
-def out_of_reach(apertures: Sequence[Aperture], screens: Sequence[Screen], lower: float, upper: float) -> list[str]:
+def out_of_reach(apertures: Sequence[AnyAperture], screens: Sequence[Screen], lower: float, upper: float) -> list[str]:
     """Return a sentence for each aperture and screen that no particle meets while z stays from `lower` to `upper`, m."""
     spans = [(f"screens.{number}", screen.z, screen.z) for number, screen in enumerate(screens) if screen.z is not None]
     for number, aperture in enumerate(apertures):
-        if not aperture.is_along_z:
+        if isinstance(aperture, SolidAperture) or not aperture.is_along_z:
             continue
         half = math.inf if aperture.length is None else aperture.length / 2
         spans.append((f"apertures.{number}", aperture.centre[2] - half, aperture.centre[2] + half))

@@ -18,7 +18,7 @@ from .bunch_shapes import GaussianBunch, HaloBunch, HollowBunch, KVBunch, Parabo
 from .bunches import DescribedBunch, LatticeBunch
 from .diagnostics_section import Diagnostics
 from .domain_section import DomainSection
-from .electrodes import ElectrodeSection
+from .electrodes import ApertureMetal, ElectrodeSection, apertures_of_metal
 from .elements import AnyElement
 from .lattice_file import LatticeSection
 from .motion import Motion, NoMotion, Reference
@@ -69,9 +69,11 @@ class SceneParts(AnyScene):
         description="A lattice of another code, a file or a section: its elements, apertures and screens join those of the "
         "scene, which then names none.",
     )
-    apertures: list[AnyAperture] = Field(default=[], description="Holes in solids at which particles are lost.")
     electrodes: list[ElectrodeSection] = Field(
         default=[], description="Metal of any shape, at voltages or with charges; it does not move."
+    )
+    apertures: list[AnyAperture] = Field(
+        default=[], description="Solids, or holes in them, at which particles are lost."
     )
     screens: list[Screen] = Field(default=[], description="Planes where particles are recorded as they pass.")
     refinement: Refinement = Refinement()
@@ -98,9 +100,14 @@ class SceneParts(AnyScene):
         return Reference(species=first.species, momentum=vector(momentum), position=vector(np.mean(places, axis=0)))
 
     @property
+    def conductors(self) -> list[ElectrodeSection | ApertureMetal]:
+        """What the field ends on: the electrodes, and behind them apertures of metal."""
+        return [*self.electrodes, *apertures_of_metal(self.apertures, self.domain.lower, self.domain.upper)]
+
+    @property
     def fixes_no_potential(self) -> bool:
         """Whether a net charge has no potential: no face and no electrode has one."""
-        held = any(electrode.voltage is not None for electrode in self.electrodes)
+        held = any(conductor.voltage is not None for conductor in self.conductors)
         return self.domain.value.singular and self.solver.screening == 0 and not held
 
     @property

@@ -46,7 +46,8 @@ class Scene(SceneParts):
             for member in members if isinstance(members, list) else []:
                 if isinstance(member, dict) and isinstance(member.get("file"), str):
                     member["file"] = str(folder / member["file"])
-        anchor_files(data.get("electrodes"), folder)
+        for key in ("apertures", "electrodes"):
+            anchor_files(data.get(key), folder)
 
     def with_interface(self, interface: str) -> Self:
         """Return the scene with `particles.interface` as given."""

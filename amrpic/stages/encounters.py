@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Self
 
@@ -72,22 +72,26 @@ class Flights:
     after: Window
     origin: Array | None = None  # (n, 3) m, where the window is when each flight starts, if that is not in `before`
 
-    def losses(self, apertures: Sequence[_native.Aperture], electrodes: Sequence[Electrode] = ()) -> Encounters:
+    def losses(self, obstacles: Sequence[_native.Aperture | Electrode]) -> Encounters:
         """Return where flights first touch the solid of an aperture, or an electrode; at once where they start in it.
 
-        `what` counts apertures, and after them electrodes. Solid of an aperture that reaches beyond a periodic face along z
+        `what` counts all of them. Solid of an aperture that reaches beyond a periodic face along z
         goes on at the other one, unless the domain moves.
         """
         solids = [
-            (number, aperture) for number, aperture in enumerate(apertures) for aperture in self._images(aperture)
+            (number, image)
+            for number, aperture in enumerate(obstacles)
+            if isinstance(aperture, _native.Aperture)
+            for image in self._images(aperture)
         ]
         numbers, met = (
             np.array([number for number, _ in solids], dtype=np.int64),
             self._meet(lambda *ways: _native.first_encounters([aperture for _, aperture in solids], *ways)),
         )
         met.what[:] = numbers[met.what]
+        electrodes = {number: metal for number, metal in enumerate(obstacles) if isinstance(metal, Electrode)}
         if electrodes:
-            met = met.joined(self._meet(functools.partial(_hits, electrodes, len(apertures))))
+            met = met.joined(self._meet(functools.partial(_hits, electrodes)))
         met = met.select(
             np.all(np.isfinite(met.place), axis=1)
         )  # others are bad input, about which `migrate` complains
@@ -233,13 +237,13 @@ class Flights:
 
 
 def _hits(
-    electrodes: Sequence[Electrode], first: int, start: Array, end: Array, before: Array, after: Array
+    electrodes: Mapping[int, Electrode], start: Array, end: Array, before: Array, after: Array
 ) -> tuple[Array, Array, Array]:
-    """Return which ways meet electrodes, which, counted from `first`, and after which share of them."""
+    """Return which ways meet electrodes, the numbers of these, and after which share of them."""
     starts, ends = start + before, end + after
     finite = np.flatnonzero(np.isfinite(starts).all(axis=1) & np.isfinite(ends).all(axis=1))
-    hits = first_hits(electrodes, starts[finite], ends[finite])
-    return finite[hits.segment], hits.electrode.astype(np.int64) + first, hits.share
+    hits = first_hits(list(electrodes.values()), starts[finite], ends[finite])
+    return finite[hits.segment], np.array(list(electrodes), np.int64)[hits.electrode], hits.share
 
 
 def _encounters(flight: Array, what: Array, share: Array, place: Array, way: Array) -> Encounters:

@@ -8,12 +8,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import TypeAdapter
 
 from ..conductors.surface import in_plane, outline
 from ..errors import InputError
 from ..io.field_reader import Dump
 from ..mesh.raster import Raster
-from ..scene.electrodes import ElectrodeSection
+from ..scene.electrodes import ApertureMetal, ElectrodeSection, apertures_of_metal
+from ..scene.obstacles import AnyAperture
 from ..shapes import Shape
 
 Array = NDArray[Any]
@@ -47,7 +49,13 @@ def metal_in(dump: Dump, raster: Raster) -> tuple[Array, Array] | None:
 def _shapes(dump: Dump) -> list[Shape]:
     """Return the shapes of electrodes, without those whose file is no longer there."""
     out: list[Shape] = []
-    for electrode in json.loads(dump.scene_text).get("electrodes", []):
+    scene = json.loads(dump.scene_text)
+    apertures = TypeAdapter(list[AnyAperture]).validate_python(scene.get("apertures", []))
+    conductors: list[ElectrodeSection | ApertureMetal] = [
+        ElectrodeSection(**electrode) for electrode in scene.get("electrodes", [])
+    ]
+    conductors += apertures_of_metal(apertures, dump.lower, dump.upper)
+    for conductor in conductors:
         with suppress(InputError):
-            out.append(ElectrodeSection(**electrode).value.shape)
+            out.append(conductor.value.shape)
     return out

@@ -17,6 +17,7 @@ CompositeMesh::CompositeMesh(std::shared_ptr<Hierarchy const> hierarchy, Real sh
   for (int l = levels() - 1; metal && l >= 0; --l) {  // so that the coarser ones know of the finer
     add_metal(l);
     if (l > 0) add_metal_faces(l);
+    has_metal_faces_ = has_metal_faces_ || !plan(l).gaps.empty();  // whose fits may take cells in metal
     if (hierarchy_->has_finer(l)) add_refined_sides(l);
     place_metal(l);
   }

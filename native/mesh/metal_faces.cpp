@@ -12,6 +12,8 @@ namespace {
 
 constexpr Real far_away = 1e9;           ///< arm where no surface is: the parabola through such an end is a line
 constexpr Real shortest = wall_arm / 2;  ///< arm from which alone a slope is taken
+// Along the normal of a face between levels, from a cell to the centres of those behind it, of the other level.
+constexpr Real to_coarse = 1.5, to_fine = 0.75;
 
 Box hull_of(MetalCells const& metal) {
   Box out;
@@ -57,6 +59,16 @@ class ChangedArms {
   CutCell& operator()(Index3 const& cell) {
     CutCell const* const known = metal_.cut_at(cell);
     return changed_.try_emplace(cell, known ? *known : CutCell::uncut(cell)).first->second;
+  }
+  /// Let cells whose axes would all be dropped have an equation: these arms end `away(cell, side)` from it.
+  template <class Away>
+  void keep_an_axis(Away&& away) {
+    for (auto& [cell, cut] : changed_) {
+      auto const is_far = [&of = cut](std::size_t side) { return of.is_cut(side) && of.arm[side] == far_away; };
+      if (!(is_far(0) || is_far(1)) || !(is_far(2) || is_far(3)) || !(is_far(4) || is_far(5))) continue;
+      for (std::size_t side = 0; side < 6; ++side)
+        if (is_far(side)) cut.arm[side] = away(cell, side);
+    }
   }
   MetalCells cells() && {
     std::vector<CutCell> out;
@@ -317,6 +329,10 @@ MetalOfLevel metal_of_level(Metal const& metal, Level const& level, Level const*
   for (Box const& box : boxes) inside.push_back(level.cut_at_walls(box));
   if (coarser) change_fine(metal, level, *coarser, inside, cells, changed);
   if (!finer.empty()) change_coarse(metal, level, *finer.front(), inside, cells, changed, out.shared);
+  changed.keep_an_axis([&](Index3 const& cell, std::size_t side) {
+    Index3 const behind = level.wrapped(moved(cell, int(side) / 2, side % 2 == 0 ? -1 : 1));
+    return !finer.empty() && finer.front()->find(first_child_of(behind)) >= 0 ? to_fine : to_coarse;
+  });
   out.cells = std::move(changed).cells();
   return out;
 }

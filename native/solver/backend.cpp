@@ -116,8 +116,8 @@ void Backend::start(Field& phi, bool is_zero) {
   accelerated_ = false;
   cycles_ = 0;
   corrections_.clear();
-  if (is_zero) return;
-  if (problem_.metal)
+  if (is_zero && composite_.has_residual_of_zero()) return;
+  if (problem_.metal)  // means of covered cells take its potentials in
     composite_.fill_metal(problem_.potentials, phi);
   else
     composite_.average_down(phi);

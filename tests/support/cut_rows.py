@@ -8,6 +8,7 @@ are the centres of its neighbours, or the first surface on the way: metal at som
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
@@ -38,6 +39,83 @@ def curvature(lower: Array, upper: Array) -> Array:
     return np.stack([2 / (lower * whole), -2 / (lower * upper), 2 / (upper * whole)])
 
 
+@dataclass(frozen=True)
+class Metal:
+    """Where metal is in a domain of some cells (x, y, z)."""
+
+    solid: Array  # (x, y, z) electrode in which a centre lies, or -1
+    theta: Array  # (3, 2, x, y, z) lengths of arms to the first surface; inf where there is none
+    owner: Array  # (3, 2, x, y, z) electrode that cuts an arm, or -1
+
+    @classmethod
+    def on(cls, domain: Domain, shape: Sequence[int], electrodes: Sequence[Electrode]) -> Metal:
+        out = cls(np.full(shape, -1), np.full((3, 2, *shape), np.inf), np.full((3, 2, *shape), -1))
+        spacing = np.subtract(domain.upper, domain.lower) / shape
+        for number, electrode in reversed(list(enumerate(electrodes))):
+            for axis in range(3):
+                out._trace(number, electrode, axis, np.asarray(domain.lower), spacing)
+        for axis, side in ((axis, side) for axis in range(3) for side in range(2)):
+            out._end_arms(axis, side, domain.periodic[axis])
+        return out
+
+    def _trace(self, number: int, electrode: Electrode, axis: int, lower: Array, spacing: Array) -> None:
+        u, v = (a for a in range(3) if a != axis)
+        shape = self.solid.shape
+        centres = [lower[a] + (np.arange(shape[a]) + 0.5) * spacing[a] for a in range(3)]
+        grid = np.zeros((shape[u], shape[v], 3))
+        grid[..., u], grid[..., v] = np.meshgrid(centres[u], centres[v], indexing="ij")
+        spans = electrode.shape.spans(grid.reshape(-1, 3), axis)
+        x, h = centres[axis], spacing[axis]
+        for line, enter, leave in zip(spans.line, spans.enter, spans.leave, strict=True):
+            i, j = np.unravel_index(line, grid.shape[:2])
+            at = [slice(None)] * 3
+            at[u], at[v] = i, j
+            inside = (x >= enter - TOUCH * h) & (x <= leave + TOUCH * h)
+            self.solid[tuple(at)][inside] = number
+            for side, way in ((1, (enter - x) / h), (0, (x - leave) / h)):
+                theta, owner = self.theta[(axis, side, *at)], self.owner[(axis, side, *at)]
+                nearer = (way > 0) & (way <= 1 + TOUCH) & (way <= theta) & ~inside
+                theta[nearer], owner[nearer] = np.minimum(way, 1)[nearer], number
+
+    def _end_arms(self, axis: int, side: int, is_periodic: bool) -> None:
+        """Cut arms at centres in metal where rounding hides the surface; none behind walls."""
+        theta, owner = self.theta[axis, side], self.owner[axis, side]
+        beyond = np.roll(self.solid, 1 if side == 0 else -1, axis)
+        edge = [slice(None)] * 3
+        edge[axis] = 0 if side == 0 else -1
+        if not is_periodic:
+            beyond[tuple(edge)] = -1
+        late = (beyond >= 0) & ~(theta <= 1)
+        theta[late], owner[late] = 1.0, beyond[late]
+        if not is_periodic:
+            behind = theta[tuple(edge)] >= 0.5
+            theta[tuple(edge)][behind], owner[tuple(edge)][behind] = np.inf, -1
+        inside = self.solid >= 0
+        theta[inside], owner[inside] = np.inf, -1
+
+    def is_cut(self, cells: Array, axis: int, side: int) -> Array:
+        """Whether arms of cells (n, 3) are cut."""
+        return self.owner[(axis, side, *cells.T)] >= 0
+
+    def is_near(self, cells: Array) -> Array:
+        """Whether cells are in metal, or any of their arms is cut."""
+        return (self.solid[tuple(cells.T)] >= 0) | (self.owner[(..., *cells.T)] >= 0).any(axis=(0, 1))
+
+    def between(self, cells: Array, sides: Sequence[tuple[int, Array]], away: float) -> Array:
+        """Return the electrode whose surface, a plane through the ends of a cell's cut arms, passes between the centre and a
+        place that is `away` along sides of the three axes; -1 if none does."""
+        total, nearest, out = np.zeros(len(cells)), np.full(len(cells), 2.0), np.full(len(cells), -1)
+        for axis, side in sides:
+            own = (axis, side, *cells.T)
+            arm, owner = self.theta[own], self.owner[own]
+            opposite, is_opposite = self.theta[(axis, 1 - side, *cells.T)], self.owner[(axis, 1 - side, *cells.T)] >= 0
+            with np.errstate(divide="ignore"):
+                total += np.where(owner >= 0, away / arm, np.where(is_opposite, -away / opposite, 0.0))
+            closer = (owner >= 0) & (arm < nearest)
+            nearest, out = np.where(closer, arm, nearest), np.where(closer, owner, out)
+        return np.where(total >= 1, out, -1)
+
+
 class CutRows:
     """The equations of all cells (x, y, z) of a domain with electrodes; `values` on Dirichlet faces, `flux` on Neumann ones."""
 
@@ -52,55 +130,17 @@ class CutRows:
         self.domain, self.electrodes, self.shape = domain, electrodes, tuple(domain.cells)
         self.values, self.flux, self.stretch = values, flux, np.array(stretch, float)
         self.spacing = np.array(domain.spacing)
-        self.solid = np.full(self.shape, -1)
-        self.theta = np.full((3, 2, *self.shape), np.inf)
-        self.owner = np.full((3, 2, *self.shape), -1)
-        for number, electrode in reversed(list(enumerate(electrodes))):
-            for axis in range(3):
-                self._trace(number, electrode, axis)
-        self._end_arms_in_metal()
+        metal = Metal.on(domain, self.shape, electrodes)
+        self.solid, self.theta, self.owner = metal.solid, metal.theta, metal.owner
         self.fluid = self.solid < 0
         self.number = np.full(self.shape, -1)
         self.number[self.fluid] = np.arange(self.fluid.sum())
         self.cells = np.argwhere(self.fluid)
         self.arms = [self._ends(axis) for axis in range(3)]
 
-    # --- where metal is
-
-    def centres(self, axis: int) -> Array:
-        return self.domain.lower[axis] + (np.arange(self.shape[axis]) + 0.5) * self.spacing[axis]
-
     def points(self) -> Array:
         """Return the centres of fluid cells (n, 3)."""
         return np.array(self.domain.lower) + (self.cells + 0.5) * self.spacing
-
-    def _trace(self, number: int, electrode: Electrode, axis: int) -> None:
-        u, v = (a for a in range(3) if a != axis)
-        grid = np.zeros((self.shape[u], self.shape[v], 3))
-        grid[..., u], grid[..., v] = np.meshgrid(self.centres(u), self.centres(v), indexing="ij")
-        spans = electrode.shape.spans(grid.reshape(-1, 3), axis)
-        x, h = self.centres(axis), self.spacing[axis]
-        for line, enter, leave in zip(spans.line, spans.enter, spans.leave, strict=True):
-            i, j = np.unravel_index(line, grid.shape[:2])
-            at = [slice(None)] * 3
-            at[u], at[v] = i, j
-            inside = (x >= enter - TOUCH * h) & (x <= leave + TOUCH * h)
-            self.solid[tuple(at)][inside] = number
-            for side, way in ((1, (enter - x) / h), (0, (x - leave) / h)):
-                theta, owner = self.theta[(axis, side, *at)], self.owner[(axis, side, *at)]
-                nearer = (way > 0) & (way <= 1 + TOUCH) & (way <= theta) & ~inside
-                theta[nearer], owner[nearer] = np.minimum(way, 1)[nearer], number
-
-    def _end_arms_in_metal(self) -> None:
-        for axis in range(3):
-            for side in range(2):
-                beyond = np.roll(self.solid, 1 if side == 0 else -1, axis)
-                edge = [slice(None)] * 3
-                edge[axis] = 0 if side == 0 else -1
-                if not self.domain.periodic[axis]:
-                    beyond[tuple(edge)] = -1
-                late = (beyond >= 0) & ~(self.theta[axis, side] <= 1)
-                self.theta[axis, side][late], self.owner[axis, side][late] = 1.0, beyond[late]
 
     # --- what is at the ends of arms
 
@@ -122,7 +162,6 @@ class CutRows:
             cell[side] = self.number[tuple(beyond.T)]
             cut = theta <= 1
             if kind != "periodic":
-                cut &= ~ends | (theta < 0.5)
                 wall = ends & ~cut
                 place = self.points()[wall]
                 place[:, axis] += step * self.spacing[axis] / 2

@@ -314,7 +314,6 @@ BAD = {
     "1e300": lambda p: p.field([0.0, 1e300], [0.0, 1.0], [0.0, 1.0], 1.0),
     "nan charge": lambda p: p.field([0.0, 1.0], [0.0, 1.0], [0.0, 1.0], np.nan),
     "charge of 1e300": lambda p: p.field([0.0, 1e-9], [0.0, 1.0], [0.0, 1.0], 1e300),
-    "sizes of 1e-150 m": lambda p: p.field([0.0, 1e-150], [0.0, 2e-150], [0.0, 0.0], 1e-9),
     "masked": lambda p: p.field(np.ma.masked_array([0.0], [True]), [0.0], [0.0], 1.0),
     "alive of another length": lambda p: p.field([0.0], [0.0], [0.0], 1.0, alive=np.ones(2, dtype=bool)),
     "alive of numbers": lambda p: p.field([0.0], [0.0], [0.0], 1.0, alive=[1]),
@@ -379,6 +378,11 @@ def test_ranks_must_ask_for_the_same(comm):
 def test_settings_that_make_no_sense_are_refused(settings, what):
     with pytest.raises(amrpic.InputError, match=what):
         made(**settings)
+
+
+def test_a_density_beyond_double_precision_is_refused_by_the_size():
+    with pytest.raises(amrpic.InputError, match="lie within 2e-150 m"):
+        engine().field([0.0, 1e-150], [0.0, 2e-150], [0.0, 0.0], 1e-9)
 
 
 def test_walls_across_a_fast_bunch_are_refused():

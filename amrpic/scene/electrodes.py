@@ -184,6 +184,6 @@ def apertures_of_metal(
     apertures: Sequence[AnyAperture], lower: Sequence[float] | np.ndarray, upper: Sequence[float] | np.ndarray
 ) -> list[ApertureMetal]:
     """Return the apertures that the field ends on, in a domain."""
-    domain = float(np.linalg.norm(np.abs([lower, upper]).max(axis=0)))
+    domain = float(np.linalg.norm(np.abs([list(lower), list(upper)]).max(axis=0)))
     pairs = zip(aperture_names(apertures), apertures, strict=True)
     return [ApertureMetal(name, aperture, domain) for name, aperture in pairs if aperture.field]

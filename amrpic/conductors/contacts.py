@@ -1,4 +1,4 @@
-"""Contacts: electrodes of different voltages that touch or overlap."""
+"""Contacts: electrodes of different voltages that touch or overlap on lines along the axes."""
 
 from __future__ import annotations
 
@@ -8,14 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..errors import InputError
 from ..shapes.spans import Floats, Ints, Spans
 from .conductor import Conductor
-
-# Lines per axis and direction across it by which two electrodes are compared.
-LINES = 64
-# Of where both can be: a gap below is none.
-TOUCH = 1e-9
 
 
 class Contact(NamedTuple):
@@ -33,14 +27,6 @@ class LineSpans(NamedTuple):
     key: Ints  # (lines,) which line it is, each once
     place: Floats  # (lines, 3) m
     spans: Spans
-
-
-def refuse_contacts(electrodes: Sequence[Conductor]) -> None:
-    """Raise InputError if electrodes of different voltages touch or overlap; alike on all ranks, without a mesh."""
-    for pair in apart(electrodes):
-        place = meeting(*(electrodes[number] for number in pair))
-        if place is not None:
-            raise InputError(sentence(electrodes, Contact(*pair, place)))
 
 
 def sentence(electrodes: Sequence[Conductor], contact: Contact) -> str:
@@ -72,30 +58,6 @@ def contacts(electrodes: Sequence[Conductor], lines: Sequence[Sequence[LineSpans
         place = next((place for place in places if place is not None), None)
         if place is not None:
             yield Contact(first, second, place)
-
-
-def meeting(electrode: Conductor, neighbour: Conductor) -> tuple[float, float, float] | None:
-    """Return a place where two electrodes touch, looked for on lines through the box in which both can be."""
-    bounds = np.array([electrode.shape.bounds, neighbour.shape.bounds])
-    lower, upper = bounds[:, 0].max(axis=0), bounds[:, 1].min(axis=0)
-    finite = np.abs(bounds[np.isfinite(bounds)])
-    size = float(finite.max(initial=0.0))
-    lower, upper = np.maximum(lower, -2 * size), np.minimum(upper, 2 * size)  # half spaces
-    if (lower > upper + TOUCH * size).any():
-        return None
-    shares = (np.arange(LINES) + 0.5) / LINES
-    for axis in range(3):
-        u, v = (a for a in range(3) if a != axis)
-        place = np.zeros((LINES, LINES, 3))
-        place[..., u] = (lower[u] + shares * (upper - lower)[u])[:, None]
-        place[..., v] = lower[v] + shares * (upper - lower)[v]
-        lines = place.reshape(-1, 3)
-        key = np.arange(len(lines))
-        first, second = (LineSpans(axis, key, lines, body.shape.spans(lines, axis)) for body in (electrode, neighbour))
-        contact = touching(first, second, TOUCH * size)
-        if contact is not None:
-            return contact
-    return None
 
 
 def touching(first: LineSpans, second: LineSpans, slack: float) -> tuple[float, float, float] | None:

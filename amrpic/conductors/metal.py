@@ -8,12 +8,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from .. import _native
-from ..errors import SolverError
+from ..errors import InputError, SolverError
 from ..mpi import MPI
 from ..parallel import together
-from .arms import Contact, Lattice, arms_of_boxes, indices, sentence
+from ..shapes.spans import Floats
+from .arms import TOUCH, GrownBoxes, Lattice, arms_of_boxes, indices, trace
 from .conductor import Conductor
+from .contacts import Contact, apart, contacts, sentence
 
+# Lines by which two electrodes are compared without a mesh: so many at least along each side of where both can be, halving the
+# spacing at most so often, and about so many at most along each axis.
+FEWEST_LINES, MOST_HALVINGS, MOST_LINES = 64, 12, 2**17
 Answer = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
@@ -78,6 +83,37 @@ def _digest(answer: Answer) -> bytes:
         digest.update(np.ascontiguousarray(part).tobytes())
         digest.update(b"%d" % len(part))
     return digest.digest()
+
+
+def refuse_contacts(electrodes: Sequence[Conductor], origin: Sequence[float], spacing: Sequence[float]) -> None:
+    """Raise InputError if electrodes of different voltages touch or overlap; alike on all ranks.
+
+    What solvers look for on the lines of their meshes is looked for here wherever two electrodes can be, on those of cells of
+    this `spacing`, m, or of finer ones where few would pass there.
+    """
+    for pair in apart(electrodes):
+        two = [electrodes[number] for number in pair]
+        bounds = np.array([electrode.shape.bounds for electrode in two])
+        size = 2 * np.abs(bounds[np.isfinite(bounds)]).max(initial=0.0)  # of half spaces
+        lower, upper = np.clip(bounds[:, 0].max(axis=0), -size, size), np.clip(bounds[:, 1].min(axis=0), -size, size)
+        if (lower > upper + TOUCH * size).any():
+            continue
+        lattice = _lattice_through(np.maximum(upper - lower, 0.0), Lattice.of(origin, spacing))
+        ends = [[lattice.index(axis, place[axis]) for axis in range(3)] for place in (lower, upper)]
+        cells = GrownBoxes.around(np.array([[*np.floor(ends[0]), *np.ceil(ends[1])]], np.int64))
+        lines = [[trace(electrode.shape, cells, lattice, axis).lines for axis in range(3)] for electrode in two]
+        for contact in contacts(two, lines, TOUCH * lattice.spacing):
+            raise InputError(sentence(two, contact))
+
+
+def _lattice_through(extent: Floats, lattice: Lattice) -> Lattice:
+    """Return a lattice of as many lines through a box of this extent (3,), m, as electrodes are compared by."""
+    count = extent / lattice.spacing
+    with np.errstate(divide="ignore"):
+        halvings = np.clip(np.ceil(np.log2(FEWEST_LINES / count)), 0, MOST_HALVINGS)
+    lines = np.maximum(count * 2**halvings, 1.0)
+    doublings = max(0.0, np.ceil(np.log2(lines.prod() / lines.min() / MOST_LINES) / 2))
+    return Lattice(lattice.origin, lattice.spacing * 2.0 ** (doublings - halvings))
 
 
 def image_refusal(

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from .. import _native
-from ..conductors.contacts import refuse_contacts
+from ..conductors.metal import refuse_contacts
 from ..errors import InputError
 from ..mpi import MPI
 from ..parallel import from_rank_0
@@ -27,7 +27,8 @@ def electrodes_of(comm: MPI.Comm, scene: Scene) -> tuple[Electrode, ...]:
 def make_electrodes(scene: Scene) -> tuple[Electrode, ...]:
     """Return the electrodes of a scene. Raises InputError for a file that is no shape, and for those that touch."""
     electrodes = tuple(conductor.value for conductor in scene.conductors)
-    refuse_contacts(electrodes)
+    domain = scene.domain.value
+    refuse_contacts(electrodes, domain.lower, domain.spacing / 2**scene.refinement.levels)
     return electrodes
 
 

@@ -13,7 +13,7 @@ namespace {
 constexpr Real far_away = 1e9;           ///< arm where no surface is: the parabola through such an end is a line
 constexpr Real shortest = wall_arm / 2;  ///< arm from which alone a slope is taken
 // Along the normal of a face between levels, from a cell to the centres of those behind it, of the other level.
-constexpr Real to_coarse = 1.5, to_fine = 0.75;
+constexpr Real to_coarse = 1.5, to_fine = to_coarse / 2;
 
 Box hull_of(MetalCells const& metal) {
   Box out;

@@ -6,7 +6,8 @@ import pytest
 import bodies
 from amrpic import Electrode, shapes
 from amrpic.conductors.arms import SIDES, arms_of_boxes, cut_arms
-from amrpic.conductors.contacts import refuse_contacts, sentence
+from amrpic.conductors.contacts import sentence
+from amrpic.conductors.metal import refuse_contacts
 from amrpic.errors import InputError
 
 CELLS = np.array([20, 18, 22])
@@ -186,10 +187,10 @@ def test_electrodes_at_different_voltages_that_touch_are_refused_with_the_place(
     assert arms_of_boxes(floating, [[0, 0, 0, 9, 9, 9]], 0.0, 1.0)[1]
     same = [Electrode("a", pair[0].shape, voltage=1), Electrode("b", pair[1].shape, voltage=1)]
     assert not arms_of_boxes(same, [[0, 0, 0, 9, 9, 9]], 0.0, 1.0)[1]
-    refuse_contacts(same)
+    refuse_contacts(same, (0, 0, 0), (1, 1, 1))
     for refused in (pair, floating):
         with pytest.raises(InputError, match="touch at"):
-            refuse_contacts(refused)
+            refuse_contacts(refused, (0, 0, 0), (1, 1, 1))
 
 
 def test_electrodes_a_thin_gap_apart_do_not_touch():
@@ -198,15 +199,17 @@ def test_electrodes_a_thin_gap_apart_do_not_touch():
     inside = metal(shapes.Sphere((5, 5, 5), 4) - shapes.Sphere((5, 5, 5), 3), shapes.Sphere((5, 5, 5), 2.9))
     assert len(cut_arms(inside, (0,) * 3, (10,) * 3, 0.0, 1.0).cell)
     for pair in (apart, inside):
-        refuse_contacts(pair)
+        refuse_contacts(pair, (0, 0, 0), (1, 1, 1))
 
 
 def test_half_spaces_and_far_electrodes_are_compared():
     plane, ball = shapes.Plane((0, 0, 1), (0, 0, 1)), shapes.Sphere((0, 0, 3), 1.9)
-    refuse_contacts(metal(plane, ball, shapes.Sphere((9, 9, 9), 1), shapes.Plane((0, 0, 20), (0, 0, -1))))
+    refuse_contacts(
+        metal(plane, ball, shapes.Sphere((9, 9, 9), 1), shapes.Plane((0, 0, 20), (0, 0, -1))), (0, 0, 0), (1, 1, 1)
+    )
     for other in (shapes.Sphere((0, 0, 3), 2.01), shapes.Plane((3, 0, 0), (1, 0, 0)), shapes.Sphere((0, 0, -9), 1)):
         with pytest.raises(InputError, match="electrodes e0 and e1 touch"):
-            refuse_contacts(metal(plane, other))
+            refuse_contacts(metal(plane, other), (0, 0, 0), (1, 1, 1))
 
 
 def test_crossings_lie_on_the_surface_with_its_normal():

@@ -351,8 +351,9 @@ void PoissonSolver::iterate(SolveReport& report, Field const& rho, Field& phi, b
 }
 
 /// Whether so many cycles, and those to come at the pace of the latest one, are more than nine for ten digits, eleven
-/// where cells are long, or seven beside metal, whose holes may be closed on coarse levels; in fourth order four more, or eight with Dirichlet walls. Where the factors of
-/// corrections differ, the pace is that of all of them in turn, and not known before.
+/// where cells are long, or seven beside metal, whose holes may be closed on coarse levels; in fourth order four more,
+/// or eight with Dirichlet walls. Where the factors of corrections differ, the pace is that of all of them in turn, and
+/// not known before.
 bool PoissonSolver::is_slow(std::vector<Real> const& residuals) const {
   Real const residual = residuals.back();
   std::size_t const cycles = residuals.size() - 1, back = backend_->steps_in_turn();

@@ -15,8 +15,8 @@ from ..conductors.patches import Patches
 from ..mesh.field import Field, VectorField
 from ..particles.clouds import Clouds
 from ..particles.particles import Particles
+from ..stages.gather import gather
 from ..units import VACUUM_PERMITTIVITY
-from .gather import gather
 
 HEIGHT = 2.5  # cells of a column: half a cell below its top no cell beside the place is cut
 BINS = 24  # of a column in which charge is summed, cubic since particles start at rest

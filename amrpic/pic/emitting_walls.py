@@ -18,9 +18,8 @@ from ..scene.electrodes import Electrode
 from ..scene.scene import Scene
 from ..shapes import Shape
 from ..shapes.scatter import Scatter, scattered
-from ..stages.gather import gather
-from ..stages.metal_layer import MetalLayer
 from ..stages.wall_layer import NormalField, WallLayer, of_component, of_potential
+from .metal_layer import MetalLayer
 from .solution import Solution
 
 PER_WIDTH = 6  # lines across a cell by which surfaces of electrodes are found
@@ -54,9 +53,7 @@ class EmittingWalls:
         """
         hierarchy = solution.rho.hierarchy
         of_metal = {
-            name: MetalLayer.of(
-                self._in_front(hierarchy, name), solution.potential, solution.electric, particles, gather
-            )
+            name: MetalLayer.of(self._in_front(hierarchy, name), solution.potential, solution.electric, particles)
             for name in self._metal
         }
         return of_metal | {

@@ -6,7 +6,6 @@ field in the column of each patch follows from Gauss's law, from the charge in i
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,13 +15,12 @@ from ..mesh.field import Field, VectorField
 from ..mpi import MPI
 from ..particles.clouds import Clouds
 from ..particles.particles import Particles
+from ..stages.gather import gather
 from ..units import VACUUM_PERMITTIVITY
 
 HEIGHT = 2.5  # cells of a column: half a cell below its top no cell beside the place is cut
 BINS = 24  # of a column in which charge is summed, cubic since particles start at rest
 EDGES = (np.arange(BINS + 1) / BINS) ** 3
-
-Gather = Callable[[VectorField, Particles, Clouds], np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,12 +31,9 @@ class MetalLayer:
     below: np.ndarray  # (n, BINS + 1) C, charge in a column below the edges of its bins
     at_wall: np.ndarray  # (n,) V/m, out of the metal
     electric: VectorField  # of the mesh
-    gather: Gather  # what reads it at particles
 
     @classmethod
-    def of(
-        cls, patches: Patches, phi: Field, electric: VectorField, particles: Particles, gather: Gather
-    ) -> MetalLayer:
+    def of(cls, patches: Patches, phi: Field, electric: VectorField, particles: Particles) -> MetalLayer:
         """Return the layer in a potential with these particles. Collective."""
         height, width = HEIGHT * patches.width, patches.width
         chosen, patch, above = patches.find(particles.position, height)
@@ -49,7 +44,7 @@ class MetalLayer:
         high, low = (phi.sample(patches.centre + (height + step * width) * patches.normal) for step in (0.5, -0.5))
         top = patches.widening(patches.emitting, np.full(len(patches), height)) * (low - high) / width
         at_wall = np.nan_to_num(top - below[:, -1] / (VACUUM_PERMITTIVITY * patches.area))
-        return cls(patches, below, at_wall, electric, gather)
+        return cls(patches, below, at_wall, electric)
 
     def correct(self, electric: np.ndarray, particles: Particles, clouds: Clouds) -> None:
         """Add to fields at particles (n, 3), V/m, what Gauss's law in columns has beyond the mesh's along the normal.
@@ -70,7 +65,7 @@ class MetalLayer:
         if sorting is not None:
             few = replace(few, sorting=replace(sorting, starts=np.searchsorted(chosen[order], sorting.starts)))
         normal = self.patches.normal[patch[order]]
-        gathered = (self.gather(self.electric, few, clouds) * normal).sum(axis=1)
+        gathered = (gather(self.electric, few, clouds) * normal).sum(axis=1)
         electric[chosen[order]] += (within[order] - gathered)[:, None] * normal
 
 

@@ -49,6 +49,13 @@ def remembered_edges(angle: float) -> Remembered:
     return Remembered(partial(beside_edges, angle=angle))
 
 
+def inside(electrodes: Sequence[Conductor], boxes: ArrayLike, origin: ArrayLike, spacing: ArrayLike) -> Bools:
+    """Return which cells of boxes have their centre in metal, box after box, x fastest."""
+    arms, _ = arms_of_boxes(electrodes, boxes, origin, spacing)
+    cells = [arms.solid[begin:end] for begin, end in zip(arms.first_solid[:-1], arms.first_solid[1:], strict=True)]
+    return marked(cells, (), boxes, origin, spacing)
+
+
 def beside_surfaces(electrodes: Sequence[Conductor], boxes: ArrayLike, origin: ArrayLike, spacing: ArrayLike) -> Bools:
     """Return which cells of boxes have an arm that metal cuts, box after box, x fastest; and those that wires hide in."""
     arms, _ = arms_of_boxes(electrodes, boxes, origin, spacing)
@@ -93,3 +100,4 @@ def hidden_in(electrode: Conductor, lattice: Lattice) -> tuple[Ints, Ints] | Non
 
 
 remembered_surfaces = Remembered(beside_surfaces)
+remembered_insides = Remembered(inside)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
+from ..conductors.refined import remembered_insides
 from ..errors import AmrpicError, OutputError, SolverError
 from ..io import openpmd_meshes, openpmd_writer, surface_files, time_series, vtkhdf_writer
 from ..io.checkpoint import Snapshot
@@ -15,6 +16,7 @@ from ..particles.frame import LABORATORY
 from ..run.log import Log, step_line
 from ..run.recorder import MeshFields, Recorder
 from ..scene.scene import Scene
+from ..stages import tag
 from ..stages.diagnostics import measure, quantities
 from ..units import Column, quantity
 from ..view.views import OVERVIEW, WITH_ELECTRODES
@@ -132,8 +134,10 @@ class ParticleRecorder(Recorder[State]):
     def _row(self, state: State) -> dict[str, float]:
         beam = state.moments()
         self._fills.check({"all": beam.fill})
+        electrodes = self._setup.drive(state.time, state.window, state.lost).electrodes
+        in_metal = tag.at_electrodes(state.hierarchy, electrodes, remembered_insides) if electrodes else ()
         measured = measure(
-            state.particles, beam, state.lost.particles, state.rho, state.phi, state.efield, state.seconds
+            state.particles, beam, state.lost.particles, state.rho, state.phi, state.efield, state.seconds, in_metal
         )
         if measured["particles"] == 0 and measured["lost_particles"] > 0:
             self._setup.remarks.remark(

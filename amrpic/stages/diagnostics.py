@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import resource
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,11 +61,12 @@ def measure(
     phi: Field,
     efield: VectorField,
     seconds: Mapping[str, float],
+    in_metal: Sequence[np.ndarray] = (),
 ) -> dict[str, float]:
     """Return what can be measured of particles, whose moments are known, and fields at one time. Collective.
 
     `charge` is that of the composite grid. `seconds` per stage are those of the slowest rank; levels that do not exist
-    have no entry.
+    have no entry. `in_metal` (n,) of each level: this rank's cells of no field energy.
     """
     hierarchy = rho.hierarchy
     of_all = global_sums_and_largest(
@@ -75,7 +76,7 @@ def measure(
             "lost_particles": len(lost),
             "charge": rho.own_integral(),
             "lost_charge": lost.own_charge,
-            "field_energy": _energy_of_square(efield.own_integral_of_square()),
+            "field_energy": _energy_of_square(_outside(efield, in_metal).own_integral_of_square()),
             "potential_energy": _energy_of_product(_own_product(rho, phi, efield.compensation)),
         },
         {
@@ -98,6 +99,17 @@ def measure(
         **{f"rms_{axis}": beam.rms[i] for i, axis in enumerate(AXES)},
         **{f"emittance_{axis}": beam.emittance[i] for i, axis in enumerate(AXES)},
     }
+
+
+def _outside(efield: VectorField, in_metal: Sequence[np.ndarray]) -> VectorField:
+    """Return a field that is 0 in metal, into which E goes on for clouds that reach there; `in_metal` (n,) of each level."""
+    if not in_metal:
+        return efield
+    components = [component.copy() for component in efield.components]
+    for component in components:
+        for level, cells in enumerate(in_metal):
+            component.array(level)[cells] = 0
+    return VectorField(*components)
 
 
 def box_count(hierarchy: Hierarchy) -> int:

@@ -106,6 +106,26 @@ def test_metal_is_cut_anew_on_a_mesh_that_follows_the_bunch():
     assert state.solution.charges == pytest.approx(report.charges, rel=1e-8)
 
 
+def test_field_energy_is_that_outside_the_metal(tmp_path):
+    """½ Σ Q V of the sheets of a capacitor and of a ball in a box, as E goes on into metal for the clouds alone."""
+    gap = [
+        {"name": "low", "shape": {"kind": "box", "lower": -0.03, "upper": [0.03, 0.03, -0.009]}, "voltage": 0},
+        {"name": "high", "shape": {"kind": "box", "lower": [-0.03, -0.03, 0.011], "upper": 0.03}, "voltage": 100},
+    ]
+    ball = [{**BALL, "shape": {**BALL["shape"], "radius": 9e-3, "centre": 0}}]
+    sides = {"x": "periodic", "y": "periodic", "z": "dirichlet"}
+    for electrodes, faces, within in (
+        (gap, {"boundary": sides, "potential": {"z": [0, 100]}}, 1e-8),
+        (ball, {}, 0.03),
+    ):
+        domain = {**FINE, **faces}
+        described = scene(tmp_path, domain=domain, electrodes=electrodes, bunches=[], schedule={"steps": 0})
+        simulation = run(MPI.COMM_SELF, described)
+        charge = simulation.state.solution.charges[electrodes[-1]["name"]]
+        energy = time_series.read(tmp_path / "series.csv")["field_energy"][-1]
+        assert energy == pytest.approx(charge * 100 / 2, rel=within)
+
+
 def test_charge_of_all_electrodes_and_walls_is_minus_that_of_the_beam_inside(tmp_path):
     """Gauss's law in a hollow block that holds a bunch, part of whose clouds lie in the metal."""
     hollow = {

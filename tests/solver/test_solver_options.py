@@ -168,7 +168,7 @@ def test_the_base_set_up_lasts_while_refined_levels_change(comm):
         ({"smoother": "sor"}, "smoother is 'sor', which is not one of the choices; use one of red-black, jacobi"),
         ({"smoother": "chebyshev", "relaxation": 0.8}, "relaxation is 0.8, which has no meaning for chebyshev"),
         ({"smoother": "jacobi", "relaxation": 1.2}, "relaxation is 1.2, which makes jacobi diverge"),
-        ({"sweeps": (0, 0)}, r"sweeps is \(0, 0\), which leaves nothing to smooth with"),
+        ({"sweeps": (0, 0)}, r"sweeps is \[0, 0\], which leaves nothing to smooth with"),
         ({"sweeps": (1, 2, 3)}, r"sweeps is \(1, 2, 3\), which is neither one number nor two; give one number, or two"),
         ({"bottom": "magic"}, "bottom is 'magic'"),
         ({"bottom": "direct", "bottom_preconditioner": "ilu"}, "'ilu', which has nothing to do in a direct solve"),
@@ -194,7 +194,7 @@ def test_choices_that_mean_nothing_are_refused(options, complaint):
             {"bottom": "direct", "bottom_preconditioner": "ilu"},
             r"solver.bottom_preconditioner \('ilu'\) has nothing to do",
         ),
-        ({"sweeps": [0, 0]}, r"solver.sweeps \(\(0, 0\)\) leaves nothing to smooth with"),
+        ({"sweeps": [0, 0]}, r"solver.sweeps \(\[0, 0\]\) leaves nothing to smooth with"),
         ({"smoother": "chebishev"}, 'did you mean "chebyshev"'),
     ],
 )

@@ -216,8 +216,7 @@ class OfGivenCharge(OfSurface[GivenSource]):
             columns = span.layer.columns
             column, _ = columns.find(newborn.position)  # the window is at rest where there is a layer
             area = self.on_wall(columns).area
-        supplied = np.bincount(column, newborn.weight * abs(self.source.species.charge), len(area))
-        comm.Allreduce(MPI.IN_PLACE, supplied)
+        supplied = comm.allreduce(np.bincount(column, newborn.weight * abs(self.source.species.charge), len(area)))
         most = VACUUM_PERMITTIVITY * np.maximum(self.pull(span), 0.0) * area
         fraction = np.divide(most, supplied, out=np.ones_like(most), where=supplied > most)[column]
         return newborn.with_weight(newborn.weight * fraction).select(np.flatnonzero(fraction > 0))

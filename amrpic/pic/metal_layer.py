@@ -12,7 +12,6 @@ import numpy as np
 
 from ..conductors.patches import Patches
 from ..mesh.field import Field, VectorField
-from ..mpi import MPI
 from ..particles.clouds import Clouds
 from ..particles.particles import Particles
 from ..stages.gather import gather
@@ -38,8 +37,8 @@ class MetalLayer:
         height, width = HEIGHT * patches.width, patches.width
         chosen, patch, above = patches.find(particles.position, height)
         charge = (particles.weight * particles.charge)[chosen]
-        sums = np.bincount(patch * BINS + _bin(above / height), charge, len(patches) * BINS).reshape(-1, BINS)
-        phi.hierarchy.comm.Allreduce(MPI.IN_PLACE, sums)
+        own_sums = np.bincount(patch * BINS + _bin(above / height), charge, len(patches) * BINS)
+        sums = phi.hierarchy.comm.allreduce(own_sums).reshape(-1, BINS)
         below = np.concatenate([np.zeros((len(patches), 1)), np.cumsum(sums, axis=1)], axis=1)
         high, low = (phi.sample(patches.centre + (height + step * width) * patches.normal) for step in (0.5, -0.5))
         top = patches.widening(patches.emitting, np.full(len(patches), height)) * (low - high) / width

@@ -13,7 +13,6 @@ import numpy as np
 
 from ..mesh.columns import READ, Columns
 from ..mesh.field import Field
-from ..mpi import MPI
 from ..particles.clouds import Clouds, Shape
 from ..particles.particles import Particles
 from ..particles.wall_response import WallResponse
@@ -87,8 +86,8 @@ class WallLayer:
         charge = (particles.weight * particles.charge)[near.chosen]
         if response is not None:
             field = field.with_more_at_wall(response.missing(near.close_to_wall(charge)))
-        sums = np.bincount(near.place, np.abs(charge), len(columns) * CELLS * BINS).reshape(-1, CELLS, BINS)
-        columns.hierarchy.comm.Allreduce(MPI.IN_PLACE, sums)
+        own_sums = np.bincount(near.place, np.abs(charge), len(columns) * CELLS * BINS)
+        sums = columns.hierarchy.comm.allreduce(own_sums).reshape(-1, CELLS, BINS)
         total = np.cumsum(sums, axis=2)
         evenly = np.broadcast_to(np.diff(EDGES), sums.shape).cumsum(axis=2)
         below = np.divide(total, total[:, :, -1:], out=evenly, where=total[:, :, -1:] > 0)
@@ -154,6 +153,5 @@ class _Near:
         In the middle of a cell, where a mesh has it, none. Collective.
         """
         part = np.where(self.cell == 0, np.maximum(1 - 2 * self.part, 0.0), 0.0)
-        sums = np.bincount(self.column, charge * part, len(self._columns))
-        self._columns.hierarchy.comm.Allreduce(MPI.IN_PLACE, sums)
-        return sums / self._columns.area
+        own_sums = np.bincount(self.column, charge * part, len(self._columns))
+        return self._columns.hierarchy.comm.allreduce(own_sums) / self._columns.area

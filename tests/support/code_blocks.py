@@ -35,7 +35,22 @@ charge = "-1 pC"
 particles = 100
 """  # what parts of a scene are tried in
 PRESS = ROOT / "examples" / "press.toml"  # and those of a scene of material points
-ELSEWHERE = "apt-get cmake conda spack docker export pip python3 make sbatch srun tar cd git".split()
+ELSEWHERE = [
+    "apt-get",
+    "cmake",
+    "conda",
+    "spack",
+    "docker",
+    "export",
+    "pip",
+    "python3",
+    "make",
+    "sbatch",
+    "srun",
+    "tar",
+    "cd",
+    "git",
+]
 # Commands that other machines have, or that install and compile: their blocks are checked for their syntax alone.
 
 

@@ -42,17 +42,19 @@ class MetalOnMesh:
             raise SolverError(sentence(self._electrodes, self._contacts[0]))
 
     def becomes(self, electrodes: Sequence[Conductor], comm: MPI.Comm) -> bool:
-        """Let other electrodes take the place of these, if all that was asked has the same answers for them to the last digit:
-        where none was moved, or a pipe along itself. Returns whether they did. Collective."""
+        """Let other electrodes take the place of these where all answers stay as they are; return whether they do. Collective.
+
+        They stay to the last digit if no electrode has moved, or a pipe along itself.
+        """
         if [electrode.name for electrode in electrodes] != [electrode.name for electrode in self._electrodes]:
             return False
         if [electrode.shape for electrode in electrodes] != [electrode.shape for electrode in self._electrodes]:
             with together(comm, SolverError):
                 asked = sorted(self._answers, key=lambda one: len(one[0]))  # coarse levels first: these take no time
-                alike = all(
+                same = all(
                     _digest(self._found(electrodes, boxes, widths)[0]) == known for boxes, widths, known in asked
                 )
-            if not comm.allreduce(alike, MPI.LAND):
+            if not comm.allreduce(same, MPI.LAND):
                 return False
         self._electrodes = tuple(electrodes)
         return True
@@ -86,7 +88,7 @@ def _digest(answer: Answer) -> bytes:
 
 
 def refuse_contacts(electrodes: Sequence[Conductor], origin: Sequence[float], spacing: Sequence[float]) -> None:
-    """Raise InputError if electrodes of different voltages touch or overlap; alike on all ranks.
+    """Raise InputError if electrodes of different voltages touch or overlap; the same on all ranks.
 
     What solvers look for on the lines of their meshes is looked for here wherever two electrodes can be, on those of cells of
     this `spacing`, m, or of finer ones where few would pass there.

@@ -362,7 +362,7 @@ def listen() -> None:
 
 
 # mpiexec waits twice as long after each failing end
-PATIENT = ENVIRONMENT | {"OMPI_MCA_odls_base_sigkill_timeout": "4"}
+PATIENT = ENVIRONMENT | {"OMPI_MCA_odls_base_sigkill_timeout": "12"}
 # 1 is what mpiexec makes of its own signals
 WAYS = {
     1: {"SIGUSR1": 75, "SIGINT": 75, "STOP": 75, "walltime": 75, "SIGTERM": 75, "SIGHUP": 75},

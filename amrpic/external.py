@@ -231,6 +231,16 @@ def extent(element: Element) -> tuple[float, float]:
     return (-half - fringe / math.cos(entrance), half + fringe / math.cos(exit))
 
 
+def fields_between(elements: Sequence[Element]) -> list[tuple[float, float]]:
+    """Return where along their own axes elements have fields, in m from their centres, of a thin coil where it is wound.
+
+    Reads the files of maps. Raises InputError if one cannot be used.
+    """
+    maps = read_maps(elements)
+    both = ((extent(element), ends(element, maps)) for element in elements)
+    return [inner if math.isinf(outer[1]) else outer for outer, inner in both]
+
+
 def slopes(element: Element) -> tuple[float, float]:
     """Return by how much the planes at both ends of an element rise along its z, per x."""
     entrance, exit = faces(element)

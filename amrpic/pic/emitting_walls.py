@@ -92,8 +92,8 @@ class EmittingWalls:
         """
         frames, parts = solution.frames, solution.parts or (solution.phi,)
         alone = frames.only == LABORATORY and frames.mirror_of(LABORATORY) is None
-        if alone:
-            return of_potential(columns, solution.phi, self._potential)
+        if alone:  # with what electrodes hold whose voltage varies
+            return of_potential(columns, solution.potential, self._potential)
         at_rest = [
             n for n, frame in enumerate(frames.members) if frame == LABORATORY and frames.mirror_of(frame) is None
         ]

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import itertools
 import math
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..errors import InputError
+from ..external import fields_between, slopes
+from ..mesh.directions import axes
 from ..mesh.domain import AXES
 from ..mesh.hierarchy import Hierarchy
 from ..mpi import MPI
@@ -18,6 +21,7 @@ from ..particles.clouds import Clouds
 from ..particles.energy_bins import Frames
 from ..particles.frame import Frame
 from ..particles.particles import Particles
+from ..scene.elements import SolenoidElement
 from ..scene.motion import Leapfrog
 from ..scene.sources import GivenSource
 from ..stages.deposit import deposit
@@ -118,10 +122,19 @@ def next_step(
     longest = state.longest
     if (state.step + 1) % EVERY_GROWTH == 0:
         time = state.time + state.staggered.flight
-        all_ = processes(beam, solution, setup, course, time)
+        all_ = processes(beam, solution, setup, course, time, _ahead(state, course, time, setup))
         of_all = min((process.time / min(process.steps, PER_GROWN) for process in all_), default=math.inf)
         longest = min(max(of_all, setup.dt), motion.longest or math.inf)
     return min(longest, state.staggered.dt * (1 + motion.growth)), longest
+
+
+def _ahead(state: State, course: Course, time: float, setup: Setup) -> float:
+    """Return how far particles may fly until steps are looked at again, m: anywhere where elements repeat with space, or
+    sources are still at work."""
+    repeats = course.goes == "nowhere" and any(setup.scene.domain.value.periodic)
+    if repeats or any(emitter.stop_time > time for emitter in setup.emitters):
+        return math.inf
+    return SPEED_OF_LIGHT * EVERY_GROWTH * state.staggered.dt * (1 + setup.scene.motion.growth) ** EVERY_GROWTH
 
 
 def check_time_step(beam: MeshedParticles, solution: Solution, step: int, dt: float, setup: Setup) -> None:
@@ -149,9 +162,10 @@ def processes(
     setup: Setup,
     course: Course | None = None,
     time: float = -math.inf,
+    ahead: float = math.inf,
 ) -> list[Process]:
-    """Return what goes on in a run and takes a time: what charge and own field do, and with a course motion and elements,
-    and sources that have not ended at a time, s. Collective.
+    """Return what goes on in a run and takes a time: what charge and own field do, and with a course motion, elements that a
+    particle meets within `ahead` m, and sources that have not ended at a time, s. Collective.
 
     Fields from Python are not looked at.
     """
@@ -159,7 +173,7 @@ def processes(
     all_ = itertools.chain(
         _of_motion(setup, fast) if fast else (),
         _of_charge(beam, solution, setup),
-        _of_elements(setup, fast) if fast else (),
+        _of_elements(setup, fast, _away(setup, beam.particles, course, ahead)) if fast and course else (),
         _of_sources(solution, setup, time) if fast and solution and setup.emitters else (),
     )
     return [process for process in all_ if process.time < math.inf]
@@ -186,11 +200,30 @@ def _of_charge(beam: MeshedParticles, solution: Solution | None, setup: Setup) -
             yield Process("own", process, _time(1.0, rate), PER_GAIN, LEAST_PER_GAIN)
 
 
-def _of_elements(setup: Setup, fast: Fastest) -> Iterator[Process]:
+def _of_elements(setup: Setup, fast: Fastest, away: list[float]) -> Iterator[Process]:
+    """Yield what happens in elements so far away, m: nothing, but that the field of a thin coil changes over the distance."""
     elements = setup.external.elements
     strengths = from_rank_0(setup.comm, lambda: [strength(element) for element in elements], InputError)  # reads maps
-    for number, (element, of) in enumerate(zip(elements, strengths, strict=True)):
-        yield from _processes_in(of, element.name or f"elements.{number}", fast)
+    for number, (element, of, far) in enumerate(zip(elements, strengths, away, strict=True)):
+        if far == 0 or (isinstance(element, SolenoidElement) and element.radius is not None):
+            near = replace(of, length=max(of.length, far))
+            yield from _processes_in(near, element.name or f"elements.{number}", fast)
+
+
+def _away(setup: Setup, particles: Particles, course: Course, ahead: float) -> list[float]:
+    """Return how far, in m, all particles stay from each element in the next `ahead` m of their way. Collective."""
+    elements = setup.external.elements
+    if math.isinf(ahead):
+        return [0.0] * len(elements)
+    between = from_rank_0(setup.comm, lambda: fields_between(elements), InputError)  # reads maps
+    places, none = course.window.places(particles.position), sys.float_info.max
+    out = np.zeros((len(elements), 2))
+    for far, element, (first, last) in zip(out, elements, between, strict=True):
+        x, _, z = ((places - element.centre) @ np.array(axes(element.direction, element.roll)).T).T
+        rise = np.abs(slopes(element)).max() * np.abs(x).max(initial=0.0)
+        far[:] = z.min(initial=none) - last - rise, first - rise - z.max(initial=-none)
+    setup.comm.Allreduce(MPI.IN_PLACE, out, MPI.MIN)
+    return np.maximum(out.max(axis=1, initial=0.0) - ahead, 0.0).tolist()
 
 
 def _of_sources(solution: Solution, setup: Setup, time: float) -> Iterator[Process]:

@@ -74,3 +74,23 @@ def spread(run: Path, picture: Path) -> None:
         axes.grid(alpha=0.3)
         axes.legend()
     figure.savefig(picture, dpi=100)
+
+
+def swing(run: Path, picture: Path) -> None:
+    """Draw the voltage of a grid, and the current of the cathode and to the anode, over a period of the voltage or two."""
+    series, sources = time_series.read(run / "series.csv"), time_series.read(run / "sources.csv")
+    time = series["time"] * 1e9
+    window = np.ones(40) / 40  # steps: of the current of single particles
+    middle = np.convolve(time, window, "valid")
+    emitted = np.convolve(-sources["current"], window, "valid")
+    arrived = np.gradient(series["hit_charge_grid"] - series["lost_charge"], series["time"])  # not at the grid
+    figure = Figure(figsize=(8, 5), layout="constrained")
+    above, below = figure.subplots(2, sharex=True, height_ratios=[1, 2])
+    above.plot(time, series["voltage_grid"])
+    above.axhline(-12, color="0.6", linewidth=0.8, linestyle="dotted")
+    above.set(ylabel="grid / V")
+    below.plot(middle, emitted * 1e6, label="from the cathode")
+    below.plot(middle, np.convolve(arrived, window, "valid") * 1e6, label="to the anode")
+    below.set(xlabel="t / ns", ylabel="current / µA", ylim=(0, 70))
+    below.legend(fontsize="small")
+    figure.savefig(picture, dpi=100)

@@ -85,6 +85,11 @@ SCENES = {
     "diode": Shown(
         "A planar diode", currents, "the current of the cathode: a sheet at first, then as space charge allows"
     ),
+    "triode": Shown(
+        "A triode",
+        example_pictures.swing,
+        "voltage of the grid, dotted where it cuts off, and currents over two periods",
+    ),
     "long_beam": Shown(
         "A long beam spreads",
         example_pictures.spread,
@@ -129,6 +134,11 @@ SCRIPTS = {
         lambda _, picture: script("cube_capacitance", picture),
         "levels at the edges, and the error for so many cells",
     ),
+    "photo_injector": Shown(
+        "A photo-injector",
+        lambda folder, picture: script("photo_injector", picture, "--folder", folder),
+        "size, length and emittance from the cathode to 1.5 m",
+    ),
     "gmls_cloud": Shown(
         "Scattered points", lambda _, picture: script("gmls_cloud", picture), "errors against the distance"
     ),
@@ -146,9 +156,9 @@ SCRIPTS = {
 }
 
 
-def script(name: str, picture: Path) -> None:
+def script(name: str, picture: Path, *options: str | Path) -> None:
     """Run an example in Python, which draws its picture."""
-    command: list[str | Path] = [sys.executable, EXAMPLES / f"{name}.py", "--picture", picture]
+    command: list[str | Path] = [sys.executable, EXAMPLES / f"{name}.py", "--picture", picture, *options]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
 
 

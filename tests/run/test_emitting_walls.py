@@ -51,6 +51,15 @@ def diode(voltage: float, cells: int, source: Source, transits: float, across: i
     return Scene.from_dict({**data, **changes})
 
 
+WIDE = {
+    "lower": 0,
+    "upper": [GAP, GAP / 4, GAP],
+    "cells": [16, 4, 16],
+    "boundary": {"x": "periodic", "y": "periodic", "z": "dirichlet"},
+    "potential": {"z": [0, 100.0]},
+}
+
+
 def warm(share: float, voltage: float) -> dict[str, Any]:
     """Momenta of a temperature kT that is a part of e V."""
     return {"kind": "thermal", "energy": f"{share * voltage} eV"}
@@ -291,6 +300,20 @@ def test_what_is_given_can_be_limited_by_space_charge(comm):
     bright["particle_charge"] = -total / 60000
     found, _ = current(diode(100.0, 16, bright, 4.0), comm)
     assert found / child(100.0) == pytest.approx(1.00372, rel=0.01)
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+@pytest.mark.parametrize("volts", [-30.0, 5.0])
+def test_a_grid_that_swings_acts_on_a_wall_as_one_of_the_voltage_of_the_moment(comm, volts):
+    """A wire in front of the wall, whose field is solved for apart from that of charge where its voltage depends on time."""
+    shape = {"kind": "cylinder", "start": [5e-3, -1, 3e-3], "end": [5e-3, 1, 3e-3], "radius": 1e-3}
+    born = []
+    for voltage in (volts, f"{volts} V*cos(0*t)"):
+        electrodes = [{"name": "grid", "shape": shape, "voltage": voltage}]
+        run = Simulation(comm, diode(100.0, 16, limited(100.0), 1.0, electrodes=electrodes, domain=WIDE))
+        run.advance(30)
+        born.append(run.state.tallies.of[0].charge)
+    assert born[1] == pytest.approx(born[0], rel=1e-6)
 
 
 @pytest.mark.mpi(ranks=(2, 4), timeout=600)

@@ -13,7 +13,7 @@ from test_emitting_walls import gun
 from amrpic.errors import SceneError
 from amrpic.pic.simulation import Simulation
 from amrpic.scene.scene import Scene
-from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE
+from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE, SPEED_OF_LIGHT
 
 GRADIENT = 1e6  # V/m²
 OMEGA = math.sqrt(ELEMENTARY_CHARGE * GRADIENT / ELECTRON_MASS)  # 1/s
@@ -82,6 +82,34 @@ def test_charge_is_balanced_and_born_with_growing_steps():
     tally, lost = run.state.tallies.of[0], run.lost.particles.own_charge
     assert tally.particles == 1000
     assert abs(run.particles.own_charge + lost - tally.charge) < 1e-13 * abs(tally.charge)
+
+
+ELEMENTS = {
+    "quadrupole": {"kind": "quadrupole", "gradient": 1e-3, "length": "20 mm", "fringe": "enge", "gap": "2 mm"},
+    "coil": {"kind": "solenoid", "field": 1e-6, "length": "20 mm", "fringe": "sheet", "radius": "4 mm"},
+}
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+@pytest.mark.parametrize("name", sorted(ELEMENTS))
+@pytest.mark.parametrize(("centre", "short"), [(0.0, True), (0.02, True), (-0.5, False), (0.5, False)])
+def test_steps_grow_where_elements_are_far(comm, name, centre, short):
+    """A fringe and a coil of 8 mm are passed in a hundred steps; half a metre away the one does nothing, the other little."""
+    bunch = {"distribution": "gaussian", "species": "electron", "sigma": "1 mm", "charge": "-1e-20 C", "particles": 100}
+    scene = Scene.from_dict(
+        {
+            "domain": {"lower": -8e-3, "upper": 8e-3, "cells": 8},
+            "bunches": [{**bunch, "kinetic_energy": "5 MeV"}],
+            "elements": [{**ELEMENTS[name], "centre": [0, 0, centre]}],
+            "motion": {"kind": "leapfrog", "window": "reference", "dt": "0.2 ps", "growth": 0.2, "longest": "1 ps"},
+            "schedule": {"steps": 30},
+            "output": {"write": []},
+        }
+    )
+    run = Simulation(comm, scene)
+    run.advance(30)
+    expected = 8e-3 / SPEED_OF_LIGHT / 100 if short else 1e-12
+    assert run.state.staggered.dt == pytest.approx(expected, rel=0.01)
 
 
 @pytest.mark.parametrize(

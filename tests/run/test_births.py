@@ -187,6 +187,25 @@ def test_a_pulse_has_its_times_and_places():
     assert stats.kstest(square, lambda s: (1 - np.exp(-s / 2)) / inside).pvalue > 0.01
 
 
+def test_a_photo_cathode_has_the_thermal_emittance():
+    """√(MTE / m c²) times the rms size of the spot, within five standard errors; MTE itself too."""
+    count, energy = 20_000, 0.5 * ELEMENTARY_CHARGE
+    photo = {
+        "process": "photo", "charge": -1e-20, "particles": count, "mean_transverse_energy": "0.5 eV",
+        "pulse": {"shape": "flat", "length": 2 * STEP}, "spot": {"shape": "disc", "radius": "2 mm"},
+    }  # fmt: skip
+    wide = {"lower": [-1e-2, -1e-2, 0], "upper": [1e-2, 1e-2, 1e-2], "cells": 8, "boundary": "dirichlet"}
+    run = Simulation(MPI.COMM_SELF, scene(photo, domain=wide))
+    run.advance(4)
+    assert len(run.particles) == count
+    u = run.particles.momentum[:, :2] / (ELECTRON_MASS * SPEED_OF_LIGHT)
+    measured = (u**2).sum(axis=1) / 2 * ELECTRON_MASS * SPEED_OF_LIGHT**2
+    assert abs(measured.mean() - energy) < 5 * measured.std() / np.sqrt(count)
+    expected = np.sqrt(energy / (ELECTRON_MASS * SPEED_OF_LIGHT**2)) * 1e-3  # of a disc, half its radius
+    for emittance in run.state.moments().emittance[:2]:
+        assert abs(emittance / expected - 1) < 5 / np.sqrt(2 * count)
+
+
 def test_a_source_inside_sends_along_its_own_axis():
     plane = {"centre": [0, 0, "5 mm"], "direction": [1, 0, 0]}
     spot = {"shape": "disc", "radius": "1 mm"}

@@ -93,7 +93,7 @@ KIND ?= cuda
 bundle: .venv/.system  ## an archive that unpacks anywhere and runs, with kernels for graphics cards; KIND=cuda, openmp or serial
 	@docker/card/bundle $(KIND)
 
-wheel: .venv/.system  ## a wheel without Trilinos, compilers and MPI where it is installed; SETS: fewer kernels
+wheel: .venv/.system  ## a wheel without Trilinos, compilers and MPI where it is installed; SETS: fewer kernels, PYTHON: another release
 	@docker/wheel
 
 # What the verification compares with where a peer is needed to make it.

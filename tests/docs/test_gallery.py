@@ -66,3 +66,12 @@ def test_results_are_read_as_written(ran):
     assert len(losses) + beam.n_particle == 20_000
     assert ((losses.x**2 + losses.y**2) ** 0.5 > 0.0025 * (1 - 1e-9)).all()
     assert names["phi"].min() >= names["plane"].values.min()
+
+
+@pytest.mark.long
+def test_a_ring_of_xsuite_shifts_the_tunes_of_a_bunch(ran):
+    pytest.importorskip("xtrack")
+    names = ran("ring")
+    assert names["error"] < 1e-2
+    assert names["shift"].max(axis=1) == pytest.approx([0, 0], abs=0.02)
+    assert ((names["shift"].mean(axis=1) < -0.03) & (names["shift"].mean(axis=1) > -0.05)).all()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -35,10 +35,11 @@ HALF_CELL = [
 
 
 @pytest.fixture
-def host(monkeypatch, tmp_path) -> Any:
-    monkeypatch.setenv("XSUITE_ALLOW_KERNEL_COMPILATION", "1")
+def host(monkeypatch, tmp_path) -> Iterator[Any]:
+    xtrack = pytest.importorskip("xtrack")
     monkeypatch.chdir(tmp_path)  # where setuptools finds no settings of ours
-    return pytest.importorskip("xtrack")
+    with xtrack.settings.override(allow_kernel_compilation=True):
+        yield xtrack
 
 
 def ring(host: Any) -> Any:

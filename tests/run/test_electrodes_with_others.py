@@ -161,7 +161,7 @@ def check(comm: Any, folder: Any, seed: int, count: int) -> None:
 
 
 @pytest.mark.mpi(ranks=2, timeout=300)
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_a_few_draws(comm, tmp_path, seed):
     check(comm, comm.bcast(tmp_path), seed, 3)
 

@@ -40,7 +40,7 @@ class EmittingWalls:
         self._responses: dict[int, WallResponse] = {}
         names = {source.surface for source in scene.sources}
         self._metal = {electrode.name: electrode.shape for electrode in electrodes if electrode.name in names}
-        self._scatters: dict[str, Scatter] = {}
+        self._scatters: dict[tuple[str, int], Scatter] = {}
         self._patches: dict[str, Patches] = {}
         self._mesh: Hierarchy | None = None  # of the patches
 
@@ -52,8 +52,9 @@ class EmittingWalls:
         particles in them. Collective.
         """
         hierarchy = solution.rho.hierarchy
+        potential = solution.potential if solution.frames.only == LABORATORY else None
         of_metal = {
-            name: MetalLayer.of(self._in_front(hierarchy, name), solution.potential, solution.electric, particles)
+            name: MetalLayer.of(self._in_front(hierarchy, name), potential, solution.electric, particles)
             for name in self._metal
         }
         return of_metal | {
@@ -67,14 +68,18 @@ class EmittingWalls:
         if self._mesh is not hierarchy:
             self._mesh, self._patches = hierarchy, {}
         if name not in self._patches:
-            domain, shape = hierarchy.domain, self._metal[name]
-            if name not in self._scatters:
-                width = float(hierarchy.spacing(hierarchy.levels - 1).min())
-                self._scatters[name] = of_electrode(name, shape, domain, width)
-            points = self._scatters[name]
-            level = max(n for n in range(hierarchy.levels) if n == 0 or _covers(hierarchy, n, points.place))
-            self._patches[name] = Patches(shape, points, float(hierarchy.spacing(level).max()))
+            level, points = 0, self._points(hierarchy, name, 0)
+            while level + 1 < hierarchy.levels and _covers(hierarchy, level + 1, points.place):
+                level, points = level + 1, self._points(hierarchy, name, level + 1)
+            self._patches[name] = Patches(self._metal[name], points, float(hierarchy.spacing(level).max()))
         return self._patches[name]
+
+    def _points(self, hierarchy: Hierarchy, name: str, level: int) -> Scatter:
+        """Return points of an electrode's surface for cells of a level: the same whatever the mesh was before."""
+        if (name, level) not in self._scatters:
+            width = float(hierarchy.spacing(level).min())
+            self._scatters[name, level] = of_electrode(name, self._metal[name], hierarchy.domain, width)
+        return self._scatters[name, level]
 
     def _on(self, hierarchy: Hierarchy, face: int) -> Columns:
         columns = self._columns.get(face)

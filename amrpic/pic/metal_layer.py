@@ -32,16 +32,17 @@ class MetalLayer:
     electric: VectorField  # of the mesh
 
     @classmethod
-    def of(cls, patches: Patches, phi: Field, electric: VectorField, particles: Particles) -> MetalLayer:
-        """Return the layer in a potential with these particles. Collective."""
-        height, width = HEIGHT * patches.width, patches.width
+    def of(cls, patches: Patches, phi: Field | None, electric: VectorField, particles: Particles) -> MetalLayer:
+        """Return the layer in a field with these particles; `phi`: of charge at rest, whose field it gives. Collective."""
+        height = HEIGHT * patches.width
         chosen, patch, above = patches.find(particles.position, height)
         charge = (particles.weight * particles.charge)[chosen]
         own_sums = np.bincount(patch * BINS + _bin(above / height), charge, len(patches) * BINS)
-        sums = phi.hierarchy.comm.allreduce(own_sums).reshape(-1, BINS)
+        sums = electric.hierarchy.comm.allreduce(own_sums).reshape(-1, BINS)
         below = np.concatenate([np.zeros((len(patches), 1)), np.cumsum(sums, axis=1)], axis=1)
-        high, low = (phi.sample(patches.centre + (height + step * width) * patches.normal) for step in (0.5, -0.5))
-        top = patches.widening(patches.emitting, np.full(len(patches), height)) * (low - high) / width
+        top = patches.widening(patches.emitting, np.full(len(patches), height)) * _normal(
+            patches, phi, electric, height
+        )
         at_wall = np.nan_to_num(top - below[:, -1] / (VACUUM_PERMITTIVITY * patches.area))
         return cls(patches, below, at_wall, electric)
 
@@ -66,6 +67,16 @@ class MetalLayer:
         normal = self.patches.normal[patch[order]]
         gathered = (gather(self.electric, few, clouds) * normal).sum(axis=1)
         electric[chosen[order]] += (within[order] - gathered)[:, None] * normal
+
+
+def _normal(patches: Patches, phi: Field | None, electric: VectorField, height: float) -> np.ndarray:
+    """Return the normal field (n,) at a height in m in front of patches, V/m. Collective."""
+    if phi is None:
+        places = patches.centre + height * patches.normal
+        parts = [of.sample(places) * n for of, n in zip(electric.components, patches.normal.T, strict=True)]
+        return np.sum(parts, axis=0)
+    high, low = (phi.sample(patches.centre + (height + step * patches.width) * patches.normal) for step in (0.5, -0.5))
+    return np.asarray(low - high) / patches.width
 
 
 def _bin(part: np.ndarray) -> np.ndarray:

@@ -228,14 +228,23 @@ void Stencil::add_coefficients(Row* rows, CellBlock const& block,
     }
 }
 
+CutPlace const* Stencil::cut_at(std::size_t row, int place) const {
+  if (row >= metal_of_.size() || metal_of_[row] < 0) return nullptr;
+  MetalRow const& metal = metal_rows_[std::size_t(metal_of_[row])];
+  auto const first = cuts_.begin() + metal.first_cut, end = first + metal.cuts[0] + metal.cuts[1];
+  auto const cut = std::find_if(first, end, [=](CutPlace const& c) { return c.place == place; });
+  return cut == end ? nullptr : &*cut;
+}
+
 float Stencil::weight_beyond(std::size_t block, int ny, Index3 const& at, std::size_t side) const {
+  CutPlace const* const cut = cut_at(std::size_t(first_row_[block] + at[1] + ny * at[2]), at[0]);
+  return cut ? cut->weight[side] : table_.weight[side / 2];
+}
+
+float Stencil::diagonal(std::size_t block, int ny, Index3 const& at) const {
   std::size_t const row = std::size_t(first_row_[block] + at[1] + ny * at[2]);
-  if (row < metal_of_.size() && metal_of_[row] >= 0) {
-    MetalRow const& metal = metal_rows_[std::size_t(metal_of_[row])];
-    for (int n = metal.first_cut; n < metal.first_cut + metal.cuts[0] + metal.cuts[1]; ++n)
-      if (cuts_[std::size_t(n)].place == at[0]) return cuts_[std::size_t(n)].weight[side];
-  }
-  return table_.weight[side / 2];
+  CutPlace const* const cut = cut_at(row, at[0]);
+  return cut ? cut->diagonal : pool_[std::size_t(rows_[row].coefficients + at[0])];
 }
 
 /// The equations of cut cells, and what makes solid ones zero: their steps.

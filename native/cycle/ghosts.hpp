@@ -56,6 +56,8 @@ class Stencil {
   RowTable table() const;  ///< in this memory
   /// Factor of what lies beyond a side of a cell of a block, counted from its first one.
   float weight_beyond(std::size_t block, int ny, Index3 const& at, std::size_t side) const;
+  /// Of the equation of a cell of a block, counted from its first one; 0 in metal.
+  float diagonal(std::size_t block, int ny, Index3 const& at) const;
 
   // What it consists of: rows and composed rows block after block.
   std::vector<Row> const& all_rows() const { return rows_; }
@@ -71,6 +73,7 @@ class Stencil {
   std::size_t bytes() const;
 
  private:
+  CutPlace const* cut_at(std::size_t row, int place) const;  ///< null where the cell of a row is not cut
   static std::vector<Ghost> ghosts(Level const& level, Layout const& layout, GhostRules const& rules,
                                    MetalCells const& metal, CellBlock const& block, Face const& face, int axis,
                                    int side);

@@ -100,8 +100,7 @@ SweptLevel::PlaceAndDiagonal SweptLevel::place_and_diagonal(Index3 const& cell) 
     CellBlock const& block = layout_.blocks()[std::size_t(b)];
     if (std::size_t(b) >= layout_.own_blocks() || !block.box.contains(cell)) continue;
     int const i = cell[0] - block.box.lower[0], j = cell[1] - block.box.lower[1], k = cell[2] - block.box.lower[2];
-    Row const& row = stencil_.rows(std::size_t(b))[j + block.box.extent(1) * k];
-    return {std::size_t(block.place(cell)), stencil_.table().diagonal(row)[i]};
+    return {std::size_t(block.place(cell)), stencil_.diagonal(std::size_t(b), block.box.extent(1), {i, j, k})};
   }
   fail_alone("the cell is not one of this rank's");
 }

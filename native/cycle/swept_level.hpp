@@ -100,7 +100,7 @@ class SweptLevel {
   LevelFaces const& faces() const { return faces_; }  ///< of the layout's blocks
   Stencil const& stencil() const { return stencil_; }
   Sweep const& sweep() const { return sweep_; }
-  /// Where an own cell lies in the vectors, and the diagonal of its equation, with what ghosts add to it.
+  /// Where an own cell lies in the vectors, and the diagonal of its equation, with what ghosts add to it; 0 in metal.
   struct PlaceAndDiagonal {
     std::size_t place;
     float diagonal;

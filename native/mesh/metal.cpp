@@ -17,6 +17,8 @@ std::vector<CutCell> without_metal_behind_walls(std::vector<CutCell> cells, Box 
       bool const ends = cut.cell[axis] == (n % 2 == 0 ? domain.lower : domain.upper)[axis];
       if (ends && !periodic[axis] && cut.arm[n] >= wall_arm) cut.electrode[n] = -1;
     }
+  auto const is_whole = [](CutCell const& cut) { return !cut.is_cut(); };
+  cells.erase(std::remove_if(cells.begin(), cells.end(), is_whole), cells.end());
   return cells;
 }
 

@@ -158,7 +158,9 @@ void Backend::accelerate() {
   behind_gaps_.resize(std::size_t(levels()));
   for (int l = 0; hierarchy.has_finer(l); ++l)
     for (Index3 const& cell : cells_behind_gaps(hierarchy.level(l), hierarchy.level(l + 1))) {
-      behind_gaps_[std::size_t(l)].push_back(cycle_.level(std::size_t(l)).place_and_diagonal(cell));
+      auto const of_cell = cycle_.level(std::size_t(l)).place_and_diagonal(cell);
+      if (of_cell.diagonal == 0) continue;  // in metal
+      behind_gaps_[std::size_t(l)].push_back(of_cell);
       has_any = true;
     }
   if (!hierarchy.comm().any(has_any)) behind_gaps_.clear();

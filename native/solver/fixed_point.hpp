@@ -1,7 +1,9 @@
 #pragma once
 
+#include <array>
 #include <cmath>
 #include <deque>
+#include <utility>
 #include <vector>
 
 #include "base/communicator.hpp"
@@ -12,7 +14,7 @@ namespace amrpic {
 /// where x -> g(x) by itself diverges along a few directions, these are found and taken out.
 class FixedPoint {
  public:
-  void clear() { kept_.clear(), argument_.clear(), change_.clear(); }
+  void clear() { kept_.clear(), has_before_ = false; }
 
   /// What to try next after g(x) = `value`; returns the 2-norm of g(x) - x over that of g(x). Vectors are shared out
   /// over ranks. Collective.
@@ -21,7 +23,7 @@ class FixedPoint {
     add(-1, x, change);
     std::array<Real, 2> sizes{dot(change, change), dot(value, value)};
     comm.sum_each(sizes);
-    if (!argument_.empty()) {
+    if (std::exchange(has_before_, true)) {  // on all ranks, also on those without a part of the vectors
       Pair pair{x, change};
       add(-1, argument_, pair.step), add(-1, change_, pair.image);
       for (Pair const& old : kept_) remove(old, comm.sum(dot(pair.image, old.image)), pair);
@@ -58,6 +60,7 @@ class FixedPoint {
   }
 
   std::deque<Pair> kept_;
+  bool has_before_ = false;
   std::vector<Real> argument_, change_;  ///< x and g(x) - x before
 };
 

@@ -12,8 +12,9 @@ import pytest
 
 import metal_fuzz
 
-# Of seed 1: covered cells at walls and in gaps hold means of children in metal.
-FOUND = (9, 1022, 1026)
+# Of seed 1: metal behind a wall, and in narrow gaps whose cells are relaxed; covered cells at walls and in gaps, which hold
+# means of children in metal.
+FOUND = (7, 9, 1022, 1026)
 
 
 def check(seed: int, numbers: Sequence[int], seconds: float = 1200.0) -> None:

@@ -135,6 +135,18 @@ def test_ranks_change_the_last_digits_at_most(comm, name, boundary):
         wait_quietly(comm)
 
 
+@pytest.mark.mpi(ranks=2)
+def test_a_rank_that_has_no_open_faces_goes_along(comm):
+    """The mesh is one box, which one of two ranks has."""
+    reports = []
+    for part in (MPI.COMM_SELF, comm):
+        mesh = hierarchy(14, "open", part, blocking_factor=2)
+        assert len(mesh.boxes(0)) == 1
+        reports.append(solve(mesh, BODIES["sphere"], tolerance=1e-12)[2])
+    assert reports[1].cycles == reports[0].cycles
+    assert reports[1].charges["ball"] == pytest.approx(reports[0].charges["ball"], rel=1e-10)
+
+
 @pytest.mark.mpi(ranks=4, timeout=180)
 @pytest.mark.parametrize("name", SMALL)
 def test_ranks_change_the_last_digits_at_most_in_a_refined_box(comm, name):

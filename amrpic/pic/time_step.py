@@ -21,6 +21,7 @@ from ..particles.clouds import Clouds
 from ..particles.energy_bins import Frames
 from ..particles.frame import Frame
 from ..particles.particles import Particles
+from ..scene.electrodes import Electrode
 from ..scene.elements import SolenoidElement
 from ..scene.motion import Leapfrog
 from ..scene.sources import GivenSource
@@ -43,6 +44,8 @@ PER_GAIN, LEAST_PER_GAIN = 40.0, 4.0
 # So many that passages through elements are exact to 1e-5: docs/reports/verification.md.
 PER_PERIOD, LEAST_PER_PERIOD = 1000.0, 20.0
 PER_RF_PERIOD = 640.0
+# How fast voltages swing is looked at in so many steps, at so many times, by what changes in this part of all of it.
+SWING, LOOKS, INSTANT = 2000.0, 1000, 1e-10
 PER_LENGTH, LEAST_PER_LENGTH = 80.0, 4.0  # four places sum up the profile of a gap, a fringe or a coil to 0.5 %
 PER_NODE, LEAST_PER_NODE = 1.0, 0.25
 # One step per cell at the anode is enough for the current of a diode: docs/emission.md.
@@ -122,7 +125,8 @@ def next_step(
     longest = state.longest
     if (state.step + 1) % EVERY_GROWTH == 0:
         time = state.time + state.staggered.flight
-        all_ = processes(beam, solution, setup, course, time, _ahead(state, course, time, setup))
+        ahead = _ahead(state, course, time, setup)
+        all_ = processes(beam, solution, setup, course, time, ahead, state.staggered.dt)
         of_all = min((process.time / min(process.steps, PER_GROWN) for process in all_), default=math.inf)
         longest = min(max(of_all, setup.dt), motion.longest or math.inf)
     return min(longest, state.staggered.dt * (1 + motion.growth)), longest
@@ -141,7 +145,7 @@ def check_time_step(beam: MeshedParticles, solution: Solution, step: int, dt: fl
     """Remark if the time step has become long for charge or field at a later step, once for each kind. Collective."""
     if setup.scene.motion.follows_fields and step % EVERY == 0:
         remedy = "go on from an earlier checkpoint with a shorter one"
-        _remark(setup, dt, processes(beam, solution, setup), remedy, f" at step {step}")
+        _remark(setup, dt, processes(beam, solution, setup, dt=dt), remedy, f" at step {step}")
 
 
 def _remark(setup: Setup, dt: float, all_: list[Process], remedy: str, when: str = "") -> None:
@@ -163,11 +167,13 @@ def processes(
     course: Course | None = None,
     time: float = -math.inf,
     ahead: float = math.inf,
+    dt: float = math.nan,
 ) -> list[Process]:
-    """Return what goes on in a run and takes a time: what charge and own field do, and with a course motion, elements that a
-    particle meets within `ahead` m, and sources that have not ended at a time, s. Collective.
+    """Return what goes on in a run and takes a time: what charge and own field do, voltages that vary, and with a course
+    motion, elements that a particle meets within `ahead` m, and sources that have not ended at a time, s. Collective.
 
-    Fields from Python are not looked at.
+    Voltages are looked at over many steps of about `dt` s, by default what all else asks for. Fields from Python are not
+    looked at.
     """
     fast = None if course is None else fastest(setup.comm, beam.particles, course)
     all_ = itertools.chain(
@@ -176,7 +182,22 @@ def processes(
         _of_elements(setup, fast, _away(setup, beam.particles, course, ahead)) if fast and course else (),
         _of_sources(solution, setup, time) if fast and solution and setup.emitters else (),
     )
-    return [process for process in all_ if process.time < math.inf]
+    out = [process for process in all_ if process.time < math.inf]
+    if math.isnan(dt):
+        dt = (
+            min((process.time / process.steps for process in out), default=math.inf)
+            if math.isnan(setup.dt)
+            else setup.dt
+        )
+    return out + [process for process in _of_voltages(beam, dt) if process.time < math.inf]
+
+
+def _of_voltages(beam: MeshedParticles, dt: float) -> Iterator[Process]:
+    """Yield how fast the voltages of electrodes swing in the next steps of about dt, s."""
+    for electrode in beam.drive.electrodes:
+        if electrode.varies and 0 < dt < math.inf:
+            time = swing(electrode, beam.drive.time, SWING * dt)
+            yield Process("voltage", f"swing of the voltage of {electrode.name}", time, PER_RF_PERIOD, LEAST_PER_PERIOD)
 
 
 def _of_motion(setup: Setup, fast: Fastest) -> Iterator[Process]:
@@ -274,6 +295,17 @@ def _time(amount: float, rate: float) -> float:
 
 
 # ---- formulas ----
+
+
+def swing(electrode: Electrode, start: float, span: float) -> float:
+    """Return in which time, s, a voltage swings once: the period of one that oscillates, however fast; long beside the span of
+    time from `start`, s, if it changes evenly or jumps."""
+    # the median of |V'| is ω A / √2, the range 2 A; random times see all phases
+    time = start + span * np.random.default_rng(0).random(LOOKS)
+    later = time + INSTANT * span
+    volts = electrode.voltages_at(time)
+    rate = np.median(abs((electrode.voltages_at(later) - volts) / (later - time)))
+    return _time(math.pi / math.sqrt(2) * float(np.ptp(volts)), float(rate))
 
 
 def betatron(of: Strength, fast: Fastest) -> float:

@@ -75,14 +75,18 @@ class Electrode:
             if self.voltage is None:
                 raise InputError(f"electrode {self.name} floats: its voltage is part of the solution; ask its charge")
             return self.voltage
-        with np.errstate(all="ignore"):
-            value = float(formula(_in_si(self.voltage), "t")(np.float64(time)))
+        value = float(self.voltages_at(np.array([time]))[0])
         if not math.isfinite(value):
             raise InputError(
                 f'electrode {self.name}: its voltage "{self.voltage}" is {value} at t = {time:g} s; '
                 "write a formula that is finite throughout"
             )
         return value
+
+    def voltages_at(self, times: np.ndarray) -> np.ndarray:
+        """Return what the formula of its voltage is at times (n,) in s, V (n,); not finite where it has no value."""
+        with np.errstate(all="ignore"):
+            return np.broadcast_to(np.asarray(formula(_in_si(str(self.voltage)), "t")(times), dtype=float), times.shape)
 
     def _check_formula(self, where: str) -> None:
         try:

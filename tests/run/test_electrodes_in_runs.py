@@ -19,6 +19,7 @@ from amrpic.errors import InputError
 from amrpic.io import time_series
 from amrpic.pic.meshed import MeshedParticles
 from amrpic.pic.metal_images import neglected
+from amrpic.pic.time_step import swing
 from amrpic.units import ELEMENTARY_CHARGE, PROTON_MASS
 from rank_subsets import first_ranks, wait_quietly
 
@@ -75,6 +76,39 @@ def test_a_voltage_that_varies_gives_what_solves_at_each_time_give():
         assert state.solution.voltages["ball"] == pytest.approx(100 * np.cos(4e7 * np.pi * state.time), rel=1e-12)
         for ours, other in zip(state.efield.components, solver.electric_field(phi).components, strict=True):
             assert (ours - other).max_abs() < 1e-6 * other.max_abs()
+
+
+def test_steps_that_a_run_chooses_follow_a_voltage_that_swings():
+    """They are 1/640 of its period if automatic; if they grow, 1/100; and a remark is made below 20."""
+    period, beam = 50e-9, {**BEAM, "velocity": [0, 0, 1e3], "charge": 1e-20}
+    described = scene(electrodes=[wave(1e-6), FREE], bunches=[beam], motion={"kind": "leapfrog", "dt": "auto"})
+    assert Simulation(MPI.COMM_SELF, described).state.staggered.dt == pytest.approx(period / 640, rel=0.1)
+    growing = {"kind": "leapfrog", "dt": period / 400, "growth": 0.2}
+    simulation = Simulation(MPI.COMM_SELF, scene(electrodes=[wave(1e-6), FREE], bunches=[beam], motion=growing))
+    simulation.advance(24)
+    assert simulation.state.staggered.dt == pytest.approx(period / 100, rel=0.1)
+    coarse = {"kind": "leapfrog", "dt": period / 12}
+    [remark] = Simulation(MPI.COMM_SELF, scene(electrodes=[wave(1e-6), FREE], bunches=[beam], motion=coarse)).remarks
+    assert "steps per swing of the voltage of ball" in remark
+
+
+@pytest.mark.parametrize(
+    ("voltage", "span", "expected"),
+    [
+        ("cos(2*pi*1e6*t)", 1e-3, 1e-6),
+        ("1e3 + cos(2*pi*1e6*t)", 1.0, 1e-6),
+        ("5*t", 1e-3, 2.2e-3),
+    ],
+)
+def test_how_fast_a_voltage_swings_is_found_by_its_values(voltage, span, expected):
+    electrode = amrpic.Electrode("ball", amrpic.shapes.Sphere((0, 0, 0), 1), voltage=voltage)
+    assert swing(electrode, 7e-3, span) == pytest.approx(expected, rel=0.1)
+
+
+def test_a_voltage_that_jumps_or_stays_asks_for_no_step():
+    for voltage in ("100*(1 + tanh((t - 1e-4)/1e-12))", "min(1e6*t, 100)"):
+        electrode = amrpic.Electrode("ball", amrpic.shapes.Sphere((0, 0, 0), 1), voltage=voltage)
+        assert swing(electrode, 1e-5, 1e-3) > 2e-3
 
 
 def test_metal_is_cut_anew_on_a_mesh_that_follows_the_bunch():

@@ -70,15 +70,6 @@ bool has_thin_copies(Level const& level, GhostRules const& rules) {
 
 constexpr GlobalIndex whole_on_all_ranks = 10000;  ///< cells of a level; relaxing so few costs less than messages
 
-/// Whether the coarsest level leaves the mean as it is: nothing holds it, or screening so weakly that it would be made
-/// of what single precision rounds. What sweeps change of it adds next to nothing to the residual beside other errors,
-/// or double precision has no digits for it.
-bool leaves_mean(MultigridLevels const& multigrid) {
-  Real const of_others = smallest_eigenvalue(*multigrid.levels[multigrid.base], multigrid.boundary, 0);
-  bool const is_free = std::all_of(multigrid.boundary.begin(), multigrid.boundary.end(), is_closed);
-  return is_free && multigrid.shift < std::max(1e-9 * of_others, 1e-15 * multigrid.equation(multigrid.base).diagonal());
-}
-
 /// Walls of the coarsest level, with the open ones where corrections vanish behind the middle of each face.
 WallGhosts walls_of_coarsest(MultigridLevels const& multigrid, GhostRules const& rules) {
   WallGhosts out = rules.walls;
@@ -147,7 +138,7 @@ Cycle::Cycle(Communicator const& comm, MultigridLevels multigrid, int max_grid_s
                                         coarse_ghosts_of(levels(), open_walls, c));
   };
   make(swept, passage);
-  Level const& coarsest = *levels().levels.front();
+  Level const &coarsest = *levels().levels.front(), &base = *levels().levels[levels().base];
   Box const& box = coarsest.domain();
   Equation const equation = scaled(levels().equation(0), this->swept(0).scale());
   GhostRules const rules = ghost_rules_of(levels(), open_walls, 0);
@@ -158,7 +149,7 @@ Cycle::Cycle(Communicator const& comm, MultigridLevels multigrid, int max_grid_s
     direct_ = std::make_unique<DenseRows>(cells, equation, walls, coarsest.periodic(), rules.seam_width, in_metal);
   else
     direct_ = std::make_unique<FastDiagonalisation>(cells, equation, walls, coarsest.periodic(), rules.seam_width,
-                                                    leaves_mean(levels()));
+                                                    is_mean_left_free(base, levels().boundary, levels().shift));
 }
 
 void Cycle::solve_coarsest() {

@@ -384,6 +384,10 @@ void Composite::potential_to_host() const {
   for (OnLevel const& level : levels_) level.phi.to_host();
 }
 
+void Composite::potential_to_device() const {
+  for (OnLevel const& level : levels_) level.phi.to_device();
+}
+
 namespace {
 
 /// Copy runs of a level's values, or of what other ranks sent.

@@ -99,6 +99,8 @@ class Composite {
   void start(Source const& source, Field& phi);
   /// Bring the potential of the kernels to the host.
   void potential_to_host() const;
+  /// And back.
+  void potential_to_device() const;
 
   /// See CompositeLaplacian. Collective.
   Real residual(Background const& background, Norm norm, std::vector<Real> const& scale);

@@ -40,7 +40,9 @@ inline bool is_nearly_free(Level const& level, Faces const& boundary, Real shift
 }
 
 /// Whether the mean of phi is left to the sum over all cells, in which fluxes cancel: where nothing holds it, or
-/// screening alone, and that weakly.
+/// screening alone, and that weakly. The coarsest level then leaves it as it is: made of what single precision rounds
+/// of a residual, it would be up to the diagonal over the shift times that, and what it rounds of all others would
+/// slow the cycles.
 inline bool is_mean_left_free(Level const& level, Faces const& boundary, Real shift) {
   for (auto const& ends : boundary)
     if (!is_closed(ends)) return false;

@@ -123,6 +123,15 @@ void Backend::start(Field& phi, bool is_zero) {
     composite_.average_down(phi);
 }
 
+void Backend::set_mean(Field& phi, Real mean) const {
+  Hierarchy const& hierarchy = *problem_.hierarchy;
+  Real sum = 0;  // over the base, whose covered cells hold means
+  for (Real v : phi.level(0)) sum += v;
+  Real const excess = hierarchy.comm().sum(sum) / Real(hierarchy.level(0).cells()) - mean;
+  for (int l = 0; l < levels(); ++l)
+    for (Real& v : phi.level(l)) v -= excess;
+}
+
 Real Backend::residual() {
   stopwatch_.time("residual", [&] { latest_residual_ = find_residual(); });
   return latest_residual_;

@@ -48,6 +48,8 @@ class Backend {
 
   /// Take phi, whose values are the first guess (V), to be improved until `finish`; `is_zero`: nothing but zeros.
   virtual void start(Field& phi, bool is_zero);
+  /// Give a potential a mean over the domain, also in the midst of a solve.
+  virtual void set_mean(Field& phi, Real mean) const;
   /// The norm of the residual, which the next cycle will reduce.
   Real residual();
   void improve();

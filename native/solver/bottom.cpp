@@ -236,8 +236,8 @@ void take_own(DeviceArray<LocalIndex> const& place, LocalIndex first, DeviceArra
 
 }  // namespace
 
-Bottom::Bottom(Communicator const& comm, LevelOperators const& operators, bool singular, SolverOptions const& options)
-    : comm_(comm), singular_(singular), first_(operators.level->first_local_cell()), total_(operators.level->cells()) {
+Bottom::Bottom(Communicator const& comm, LevelOperators const& operators, Mean mean, SolverOptions const& options)
+    : comm_(comm), mean_(mean), first_(operators.level->first_local_cell()), total_(operators.level->cells()) {
   if (total_ > most_cells)
     throw SolverError("the coarsest level would have " + std::to_string(total_) +
                       " cells; give the base numbers of cells with more factors of two, or more coarse_levels");
@@ -251,7 +251,7 @@ Bottom::Bottom(Communicator const& comm, LevelOperators const& operators, bool s
   auto const volume = volumes_of(operators);
   on_device_ = UntilFinalize<OnDevice>(
       {on_device(place_), on_device(volume), DeviceArray<Real>("gathered", std::size_t(total_))});
-  Real const scale = normalise(whole, volume, singular);
+  Real const scale = normalise(whole, volume, mean == Mean::nothing);
   require_fit(whole, options);
   Box const& domain = operators.level->domain();
   problem_ = std::make_unique<GatheredProblem>(whole, scale,
@@ -265,7 +265,7 @@ bool Bottom::serves(LevelOperators const& operators) const {
     if (operators.level->first_cell(r) != starts_[r]) return false;
   if (operators.level->cells() != total_ || order_of_domain(*operators.level) != place_) return false;
   HostRows whole = gather(comm_, operators, place_);
-  Real const scale = normalise(whole, volumes_of(operators), singular_);
+  Real const scale = normalise(whole, volumes_of(operators), mean_ == Mean::nothing);
   return scale == problem_->scale && problem_->has(whole);
 }
 
@@ -286,11 +286,11 @@ void Bottom::solve(LevelVector const& right_hand_side, LevelVector& correction) 
     size = put_in_order(place, volume, gathered, f);
     if (size == 0) return correction.set_zero();
     shift_and_divide(f, 0, size);  // of order one, so that no library threshold meets the units
-    if (singular_) shift_and_divide(f, mean_of(f), 1);
+    if (mean_ != Mean::equation) shift_and_divide(f, mean_of(f), 1);
   }
   problem_->solve();
   auto const x = column_of(*problem_->x);
-  take_own(place, LocalIndex(first_), x, singular_ ? mean_of(x) : 0.0, size * problem_->scale,
+  take_own(place, LocalIndex(first_), x, mean_ == Mean::equation ? 0.0 : mean_of(x), size * problem_->scale,
            column_of(correction.own()));
 }
 

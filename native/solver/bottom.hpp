@@ -9,15 +9,21 @@
 
 namespace amrpic {
 
+/// What holds the mean of a correction on the coarsest level.
+enum class Mean {
+  equation,  ///< the equation, as all else
+  others,    ///< it is found apart from cycles, and stays zero here
+  nothing    ///< so it does, and constants are in the null space, or as good as
+};
+
 /// The solve on the coarsest level, by a method of Trilinos.
 ///
 /// Every rank gathers the whole problem, cells in the order of the domain, and solves it by itself: so the answer is
 /// the same for any decomposition, and no solver of the library runs on shared rows.
 class Bottom {
  public:
-  /// Collective. `singular`: constants are in the operator's null space. Throws SolverError, the same on all ranks, for
-  /// a matrix that the method cannot solve.
-  Bottom(Communicator const& comm, LevelOperators const& operators, bool singular, SolverOptions const& options);
+  /// Collective. Throws SolverError, the same on all ranks, for a matrix that the method cannot solve.
+  Bottom(Communicator const& comm, LevelOperators const& operators, Mean mean, SolverOptions const& options);
   ~Bottom();
 
   /// Solve no_fine correction = right_hand_side for this rank's cells. Collective.
@@ -35,7 +41,7 @@ class Bottom {
   };
   void gather_right_hand_side(LevelVector const& right_hand_side) const;
   Communicator comm_;
-  bool singular_;
+  Mean mean_;
   GlobalIndex first_, total_;
   std::vector<int> counts_, starts_;  ///< rows per rank
   std::vector<LocalIndex> place_;     ///< in the order of the domain, of each cell

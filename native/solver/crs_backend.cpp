@@ -4,6 +4,7 @@
 
 #include "matrices/operators.hpp"
 #include "mesh/norm.hpp"
+#include "multigrid/nearly_free.hpp"
 #include "solver/backend.hpp"
 #include "solver/bicgstab.hpp"
 #include "solver/compressed_rows.hpp"
@@ -80,6 +81,7 @@ class CrsBackend : public Backend {
   Real unit_of_correction() { return cycle_.level(0).scale(); }
 
   MultigridOperators assembled(Reusable& reusable);
+  Mean holds_mean() const;
   std::shared_ptr<Bottom> bottom(Reusable& reusable);
   CompositeVector zero() const;
   void average_down(CompositeVector& x) const;
@@ -115,13 +117,20 @@ MultigridOperators CrsBackend::assembled(Reusable& reusable) {
   return assembled->operators;
 }
 
+/// Of shifts below a thousandth of the next eigenvalue what is lost by leaving them out is gone with the next cycle.
+Mean CrsBackend::holds_mean() const {
+  Level const& base = hierarchy_.level(0);
+  Faces const& boundary = hierarchy_.domain().boundary;
+  Real const shift = shift_of(problem_.options);
+  if (problem_.metal || !is_mean_left_free(base, boundary, shift)) return Mean::equation;
+  return shift <= 1e-3 * smallest_eigenvalue(base, boundary, 0) ? Mean::nothing : Mean::others;
+}
+
 /// The bottom that was taken over if it serves, else a new one.
 std::shared_ptr<Bottom> CrsBackend::bottom(Reusable& reusable) {
   if (!reusable.bottom || !reusable.bottom->serves(*operators_.front())) {
     reusable.bottom.reset();  // the old one goes before the new one comes
-    reusable.bottom = std::make_shared<Bottom>(hierarchy_.comm(), *operators_.front(),
-                                               !problem_.metal && is_singular(hierarchy_.domain(), problem_.options),
-                                               problem_.options);
+    reusable.bottom = std::make_shared<Bottom>(hierarchy_.comm(), *operators_.front(), holds_mean(), problem_.options);
     ++bottom_setups_;
   }
   return reusable.bottom;

@@ -33,6 +33,11 @@ class KokkosBackend : public Backend {
     is_under_way_ = false;
     Backend::finish();
   }
+  void set_mean(Field& phi, Real mean) const override {
+    if (is_under_way_) kernels_->composite.potential_to_host();
+    Backend::set_mean(phi, mean);
+    if (is_under_way_) kernels_->composite.potential_to_device();
+  }
   void walls_changed() override { kernels_->composite.walls_changed(); }
   void for_each_charge(Field const& phi, Field const& rho, CompositeResidual::OfCharge const& f) override {
     if (is_under_way_) kernels_->composite.potential_to_host();

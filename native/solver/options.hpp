@@ -69,11 +69,6 @@ struct SolverOptions {
       false;  ///< take the mean of the charge away where the boundary leaves the potential's constant free
 };
 
-/// Whether the equation leaves a constant in phi free.
-inline bool is_singular(Domain const& domain, SolverOptions const& options) {
-  return domain.singular() && options.screening == 0;
-}
-
 /// kappa^2, of the Equation.
 inline Real shift_of(SolverOptions const& options) { return options.screening * options.screening; }
 

@@ -206,13 +206,9 @@ bool PoissonSolver::is_finite(Field const& phi) const {
   return !hierarchy_->comm().any(bad);
 }
 
-/// Give phi a mean over the domain.
-void PoissonSolver::set_mean(Field& phi, Real mean) const {
-  Real sum = 0;  // over the base, whose covered cells hold means
-  for (Real v : phi.level(0)) sum += v;
-  Real const excess = hierarchy_->comm().sum(sum) / Real(hierarchy_->level(0).cells()) - mean;
-  for (int l = 0; l < hierarchy_->level_count(); ++l)
-    for (Real& v : phi.level(l)) v -= excess;
+/// Whether the mean of phi is found apart from the cycles.
+bool PoissonSolver::leaves_mean() const {
+  return !metal_ && is_mean_left_free(hierarchy_->level(0), hierarchy_->domain().boundary, shift_of(options_));
 }
 
 /// Refuse a right-hand side so small or large that the potential and its differences would leave the range of double
@@ -250,7 +246,7 @@ Real PoissonSolver::rounding_floor() const {
 /// that no cycle reduces.
 void PoissonSolver::add_mean(SolveReport& report, Field& phi, Real of_right_hand_side, Real largest) const {
   Real const shift = shift_of(options_), mean = -of_right_hand_side / shift;
-  set_mean(phi, mean);
+  backend_->set_mean(phi, mean);
   Real const size = std::max(std::abs(of_right_hand_side), largest);
   if (size == 0) return;
   Equation const finest = equation_on(hierarchy_->level(hierarchy_->level_count() - 1).spacing(), shift);
@@ -298,7 +294,9 @@ void PoissonSolver::iterate(SolveReport& report, Field const& rho, Field& phi, b
   // Cycles in a row that hardly moved the residual; since it was last well below all before; and that lowest one.
   int stuck = 0, since_lowest = 0;
   Real lowest = std::numeric_limits<Real>::infinity();
+  bool const holds_mean = options_.screening > 0 && leaves_mean();  // by the shift, to which no cycle answers
   for (;; ++report.cycles) {
+    if (holds_mean && !(from_zero && report.cycles == 0)) backend_->set_mean(phi, 0);
     Real residual = backend_->residual() / size;
     if (report.cycles == 0 && !from_zero && !(residual <= hopeless)) {
       if (!is_finite(phi)) throw SolverError("the guess holds values that are not finite; solve without one");
@@ -408,16 +406,11 @@ SolveReport PoissonSolver::solve(Field const& rho, Field& phi, bool from_zero, M
   if (images) nothing.emplace(rho.share_hierarchy());
   backend_->set_right_hand_side(images ? *nothing : rho);
   Removed removed{0, 0};
-  bool const leaves_mean =
-      !metal_ && is_mean_left_free(hierarchy_->level(0), hierarchy_->domain().boundary, shift_of(options_));
-  if (leaves_mean) {
-    removed = remove_net_charge(rho, deposited);
-    if (!from_zero && options_.screening > 0) set_mean(phi, 0);
-  }
+  if (leaves_mean()) removed = remove_net_charge(rho, deposited);
   Real const largest = backend_->largest_right_hand_side();
   iterate(report, rho, phi, from_zero, largest, removed.rounding);
   backend_->finish();
-  if (leaves_mean) options_.screening > 0 ? add_mean(report, phi, removed.mean, largest) : set_mean(phi, 0);
+  if (leaves_mean()) options_.screening > 0 ? add_mean(report, phi, removed.mean, largest) : backend_->set_mean(phi, 0);
   report.seconds = stopwatch_.seconds();
   for (auto const& [stage, seconds] : backend_->stopwatch().seconds()) report.seconds[stage] = seconds;
   return report;

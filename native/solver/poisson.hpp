@@ -102,7 +102,7 @@ class PoissonSolver {
   Removed remove_net_charge(Field const& rho, Real deposited);
   Real volume() const;
   bool is_finite(Field const& phi) const;
-  void set_mean(Field& phi, Real mean) const;
+  bool leaves_mean() const;
   bool sees_metal() const { return metal_ && wall_plan_; }
   Real rounding_floor() const;
   void check_size(Real right_hand_side) const;

@@ -31,7 +31,7 @@ nb::ndarray<nb::numpy, std::complex<double>> from_moments(Harmonics<double> cons
 }
 
 Options options_beside(WallMesh const& mesh, int order) {
-  return Options::of(order, !mesh.images.are_none(), mesh.images.lattices());
+  return Options::of(order, !mesh.images.are_none(), mesh.images.lattices(), mesh.images.are_narrow());
 }
 
 /// The free space around a mesh, with the faces behind which its potential is wanted.

@@ -29,14 +29,16 @@ struct Options {
 
   /// What goes with an operator, and with images, which repeat along so many axes: where conductors leave little of the
   /// potential, what is neglected counts for more of it, so that boxes have to be further away; those with less charge
-  /// than others need not. In fourth order the lattice fades by the fourth power of the distance and is left out from
-  /// `lattice_limit` on, where it is 8e-6 of the potential; the rest is about as exact.
-  static Options of(int order, bool has_images = false, int lattices = 0) {
+  /// than others need not. `narrow`: next to nothing is left, as `Images::are_narrow` tells. In fourth order the
+  /// lattice fades by the fourth power of the distance and is left out from `lattice_limit` on, where it is 8e-6 of the
+  /// potential; the rest is about as exact.
+  static Options of(int order, bool has_images = false, int lattices = 0, bool narrow = false) {
     if (order == 4) return {0.3, 16, 1e-7, 2, 2e-7, 4, 0.6, 0.15, 5};
     Options out;
     if (!has_images) return out;
     out.acceptance = std::array{0.45, 0.39, 0.3}[std::size_t(lattices)];
     out.of_weak = std::array{0.5, 0.5, 0.3}[std::size_t(lattices)];
+    if (narrow) out.acceptance = out.of_weak = 0.2, out.separation = 2;
     out.lattice_limit = 6 / out.acceptance;
     return out;
   }

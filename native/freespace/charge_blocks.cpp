@@ -81,10 +81,18 @@ int cells_in(Cell const& first, Cell const& last) {
   return (last[0] - first[0] + 1) * (last[1] - first[1] + 1) * (last[2] - first[2] + 1);
 }
 
+int seen_in(BlockPart part, Cell const& first, Cell const& last) {
+  part.first = first, part.last = last;
+  int out = cells_in(first, last);
+  if (part.box->unseen)
+    with_common(part, *part.box->unseen, [&](Cell const& a, Cell const& b) { out -= cells_in(a, b); });
+  return out;
+}
+
 /// Whether any cell of a part counts. Covered parts do not overlap.
-bool has_uncovered(BlockPart const& part) {
-  int left = cells_in(part.first, part.last);
-  for_each_covered(part, [&](Cell const& first, Cell const& last) { left -= cells_in(first, last); });
+bool counts(BlockPart const& part) {
+  int left = seen_in(part, part.first, part.last);
+  for_each_covered(part, [&](Cell const& first, Cell const& last) { left -= seen_in(part, first, last); });
   return left > 0;
 }
 
@@ -131,11 +139,13 @@ void fill(BlockPart const& part, BlockCharges& block) {
           for (int i = first[0]; i <= last[0]; ++i) block[place_in_block({i, j, k})] += factor * row[i];
         }
     });
-  for_each_covered(part, [&](Cell const& first, Cell const& last) {
+  auto const clear = [&](Cell const& first, Cell const& last) {
     for (int k = first[2]; k <= last[2]; ++k)
       for (int j = first[1]; j <= last[1]; ++j)
         for (int i = first[0]; i <= last[0]; ++i) block[place_in_block({i, j, k})] = 0;
-  });
+  };
+  for_each_covered(part, clear);
+  if (part.box->unseen) with_common(part, *part.box->unseen, clear);
 }
 
 /// First number that is not zero, and how many there are up to the last one.
@@ -216,7 +226,7 @@ void ChargeBlocks::assign(std::vector<ChargeBox> const& boxes, std::vector<Block
   std::vector<BlockPart> whole, shared;  // blocks of one box, and of several perhaps
   for (ChargeBox const& box : boxes)
     for_each_part(box, [&](BlockPart const& part) {
-      if (!has_uncovered(part)) return;
+      if (!counts(part)) return;
       if (part.is_whole())
         whole.push_back(part);
       else if (!is_foreign(part.key))

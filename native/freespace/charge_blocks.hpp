@@ -6,6 +6,7 @@
 
 #include <array>
 #include <cstddef>
+#include <optional>
 #include <vector>
 
 #include "freespace/lattice.hpp"
@@ -28,7 +29,7 @@ struct BlockKey {
 };
 
 /// Charges of a box of cells of one level, x fastest: `factor` times `values`, in some cells `weighted` once more, and
-/// times what is `added` in some. Cells in `covered` do not count.
+/// times what is `added` in some. Cells in `covered` do not count, nor those that are `unseen`.
 struct ChargeBox {
   struct CellRange {
     Cell lower, upper;  ///< inclusive
@@ -48,6 +49,7 @@ struct ChargeBox {
   std::vector<CellRange> covered{};
   std::vector<Added> added{};
   std::vector<Weighted> weighted{};
+  std::optional<CellRange> unseen{};
 };
 
 /// Write the charges of the cells `first` .. `last` of a box, which lie in one block, x fastest.

@@ -33,6 +33,24 @@ std::map<int, std::vector<T>> lists_for(std::vector<int> const& ranks) {
   return out;
 }
 
+/// The cells of a level that no open face sees, should there be any.
+std::optional<ChargeBox::CellRange> unseen_cells(WallMesh const& mesh, int level, int operator_order) {
+  ChargeBox::CellRange out;
+  for (int d = 0; d < 3; ++d) {
+    int lower = 0, upper = mesh.lattice.cells[d];
+    for (int side = 0; side < 2; ++side) {
+      if (!mesh.open[std::size_t(2 * d + side)]) continue;
+      auto const seen = mesh.images.cells_seen(d, operator_order);
+      if (!seen) return {};
+      side == 0 ? lower += * seen : upper -= *seen;
+    }
+    if (lower >= upper) return {};
+    out.lower[d] = lower << level;
+    out.upper[d] = (upper << level) - 1;
+  }
+  return out;
+}
+
 }  // namespace
 
 FreeSpace::FreeSpace(Communicator const& comm, Lattice const& lattice, bool has_images, Options const& options)
@@ -68,6 +86,7 @@ std::vector<double> FreeSpace::walls(WallPlan const& plan, std::vector<ChargeBox
 
 /// The blocks of this rank, with what other ranks hold of them.
 ChargeBlocks FreeSpace::own_charges(WallPlan const& plan, std::vector<ChargeBox> local) const {
+  for (ChargeBox& box : local) box.unseen = unseen_cells(plan.geometry().mesh, box.level, options_.operator_order);
   std::vector<double> received;
   std::vector<Parcel> asked, wanted;
   std::vector<std::size_t> first;

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <complex>
 
 namespace amrpic::freespace {
 
@@ -23,11 +24,12 @@ AxisImages images_of(std::optional<Mirror> const& lower, std::optional<Mirror> c
   return out;
 }
 
+constexpr double faded = 18;  // by exp(-18)
+
 /// How many copies of a period are seen from inside between sides whose walls let the potential of charge fade along
 /// the axis; the lengths of periods.
 int periods_seen(std::array<AxisImages, 3> const& axes, Point const& shape, int axis) {
-  double constexpr faded = 18;  // by exp(-18)
-  double square = 0;            // of the rate, of the mode that fades least
+  double square = 0;  // of the rate, of the mode that fades least
   for (int d = 0; d < 3; ++d)
     if (d != axis && axes[d].alternates()) square += std::pow(2 * pi / (axes[d].period * shape[d]), 2);
   return int(std::ceil(faded / (std::sqrt(square) * axes[axis].period * shape[axis])));
@@ -139,6 +141,32 @@ double Images::apart(int d, double place, double other) const {
     is_first = false;
   }
   return out;
+}
+
+double Images::least_eigenvalue(int axis) const {
+  double out = 0;
+  for (int d = 0; d < 3; ++d) {
+    AxisImages const& across = axes_[std::size_t(d)];
+    if (d != axis && d != across_ && across.period > 0 && across.alternates())
+      out += std::pow(2 * std::sin(pi / across.period) / shape_[d], 2);
+  }
+  return out;
+}
+
+bool Images::are_narrow() const {
+  double const longest = longest_spacing(shape_);
+  return least_eigenvalue(-1) * longest * longest > 4;
+}
+
+/// A mode of eigenvalue lambda falls by exp(-k) per cell along the axis, where the operator's symbol at i k is -lambda
+/// h^2: s = 2 cosh k - 2 is lambda h^2 in second order, and s - s^2 / 12 is it in fourth. Finer cells make all modes
+/// fall faster.
+std::optional<int> Images::cells_seen(int axis, int operator_order) const {
+  double const lambda = least_eigenvalue(axis);
+  if (lambda == 0) return {};
+  std::complex<double> s = lambda * shape_[axis] * shape_[axis];
+  if (operator_order == 4) s = 6.0 - std::sqrt(36.0 - 12.0 * s);
+  return 1 + int(std::ceil(faded / std::acosh(1.0 + 0.5 * s).real()));
 }
 
 namespace {

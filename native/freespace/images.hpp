@@ -53,6 +53,11 @@ class Images {
   /// mesh.
   int doublings(int d, int fewest) const;
   Point const& shape() const { return shape_; }
+  /// So many cells of the base and fewer from an open face across an axis, charge is seen there: further away its
+  /// potential has faded, between walls some of which are conductors. Nothing where it does not fade so.
+  std::optional<int> cells_seen(int axis, int operator_order) const;
+  /// Whether the potential between walls, some of them conductors, fades within the longest cells of the base.
+  bool are_narrow() const;
   /// The number of axes along which they repeat, at most two.
   int lattices() const { return int(axes_[0].period > 0) + int(axes_[1].period > 0) + int(axes_[2].period > 0); }
   /// Distance along an axis between a place and the nearest image of another one; in units of the smallest spacing.
@@ -61,6 +66,9 @@ class Images {
  private:
   /// Between closed sides, some of whose walls are conductors, the images along an axis are as many as are seen.
   void list_copies(std::size_t axis);
+  /// Of the modes of the lattice across walls that leave out `axis`: the least eigenvalue of -Laplace, 0 where there is
+  /// no conductor.
+  double least_eigenvalue(int axis) const;
 
   Point shape_{1, 1, 1};
   double widest_ = 0;  ///< extent or period

@@ -83,8 +83,10 @@ int KernelTables::serving(int axis, int offset) const {
 }
 
 Cell KernelTables::stride(int number) const {
+  double const longest = *std::max_element(shape_.begin(), shape_.end());
+  double const apart = std::ldexp(1.0, std::min(number, int(std::ceil(std::log2(2 * longest))) - 1));
   Cell out;
-  for (int d = 0; d < 3; ++d) out[d] = 1 << std::max(0, std::ilogb(std::ldexp(1.0, number) / shape_[d]));
+  for (int d = 0; d < 3; ++d) out[d] = 1 << std::max(0, std::ilogb(apart / shape_[d]));
   return out;
 }
 

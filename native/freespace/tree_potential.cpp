@@ -403,6 +403,7 @@ bool TreePotential::is_summed(TreeNode const& node, PatchBox const& patch_box) c
 Interactions::Far TreePotential::multipole(Octree const& tree, int n, double distance2) const {
   TreeNode const& node = tree.nodes[n];
   Interactions::Far out{n, order, true};
+  if (node.copies > 0) return out;  // those of both signs leave little of the potential
   double const distance = std::sqrt(distance2);
   double const negligible_order = options_.negligible * node.magnitude / weakness(tree, node);
   double left_out = 0, power = std::pow(distance, -order);

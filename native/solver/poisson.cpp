@@ -57,7 +57,8 @@ void PoissonSolver::plan_open_walls() {
     for (Real& place : across.place) place *= options_.stretch[across.axis];
   freespace::WallMesh const mesh = freespace::wall_mesh(*hierarchy_, layers, across);
   bool const has_images = !mesh.images.are_none();
-  auto const options = freespace::Options::of(options_.order, has_images, mesh.images.lattices());
+  auto const options =
+      freespace::Options::of(options_.order, has_images, mesh.images.lattices(), mesh.images.are_narrow());
   if (!reusable_.free_space || !reusable_.free_space->is_for(has_images, options))
     reusable_.free_space =
         std::make_shared<freespace::FreeSpace>(hierarchy_->comm(), mesh.lattice, has_images, options);

@@ -226,6 +226,29 @@ def test_a_sphere_between_open_faces_is_known_to_the_error_of_the_mesh_in_twelve
     assert early.charges["ball"] == pytest.approx(report.charges["ball"], rel=0.1 * of_mesh)
 
 
+DISK = 8 * epsilon_0  # F, of a foil of 1 m radius
+
+
+@pytest.mark.parametrize("share", [0.3, 1e-2, 1e-5])
+def test_open_faces_settle_beside_a_foil_however_near_to_centres_of_cells(share):
+    """Charge on short arms is what the rest of the equation leaves: the error of φ over such an arm would never settle."""
+    hierarchy = Hierarchy(MPI.COMM_SELF, Domain(-2, 2, 32, "open"))
+    foil = [Electrode("foil", shapes.Disk((0.013, 0.021, (0.5 + share) / 8), "z", 1), voltage=1)]
+    _, _, report = solve(hierarchy, foil, tolerance=1e-10)
+    assert report.cycles <= 16
+    assert report.charges["foil"] == pytest.approx(DISK, rel=0.025)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("height", [0.0, 8e-3])
+def test_a_disk_with_levels_at_its_edge_has_its_capacitance_to_two_in_a_thousand(height):
+    """-0.61, -0.09 and -0.17 % with 2, 3 and 4 levels, the last for either place in cells."""
+    foil = [Electrode("foil", shapes.Disk((0.013, 0.021, height), "z", 1), voltage=1)]
+    hierarchy = Hierarchy.around(Domain(-2, 2, 32), foil, levels=0, edges=4)
+    _, _, report = solve(hierarchy, foil, tolerance=1e-8)
+    assert report.charges["foil"] == pytest.approx(DISK, rel=2e-3)
+
+
 def test_the_field_beside_a_rod_on_planes_of_the_mesh_points_away_from_it():
     """A round rod at 1 V in a pipe: E in the first cells outside is that of the line charge."""
     n, a, b = 64, 0.25, 0.9

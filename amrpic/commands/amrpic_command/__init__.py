@@ -15,8 +15,12 @@ def main() -> None:
     before = signal.getsignal(signal.SIGINT)
     if before is not signal.SIG_IGN:
         signal.signal(signal.SIGINT, _interrupted)
-    from amrpic.commands.main import main as command_line
-
+    try:
+        from amrpic.commands.main import main as command_line
+    except ImportError as error:
+        if not str(error).startswith("amrpic: "):
+            raise
+        sys.exit(str(error))  # of amrpic/mpi.py, in one sentence
     signal.signal(signal.SIGINT, before)
     command_line()
 

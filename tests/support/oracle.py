@@ -93,7 +93,8 @@ def product(columns: tuple[int, ...], rows: tuple[int, ...], at: tuple[Fraction,
 # --- where no placement is complete: least squares in space -----------------------------------------------------------
 
 REACH = 3.0  # fine widths
-LARGEST_SUM = 20.0  # of the magnitudes of the weights
+LARGEST_SUM = 10.0  # of the magnitudes of the weights
+LEAST_OF_NEAREST = 0.1  # the weight in a quadratic fit of the cell behind the face
 LONG = 1.8  # aspect ratio of cells beyond which they are
 
 
@@ -125,7 +126,7 @@ def space_fit(sites: np.ndarray) -> tuple[int, np.ndarray]:
 
 def new_space_fit(sites: np.ndarray) -> tuple[int, np.ndarray]:
     """Return the order and the weights of the least squares fit at the origin to values at sites (n, 3), in units of the
-    reach: the quadratic one if it is determined, else the linear one, else the constant one.
+    reach: the quadratic one if it is determined and goes by the nearest value, else the linear one, else the constant one.
 
     Of all weights that reproduce the polynomials, those of least sum of squares over (1 - r²)², by SVD.
     """
@@ -133,7 +134,8 @@ def new_space_fit(sites: np.ndarray) -> tuple[int, np.ndarray]:
     for order in (2, 1, 0):
         rows, wanted = monomials(order, sites), monomials(order, np.zeros((1, 3)))[0]
         weights = root * (np.linalg.pinv((root[:, None] * rows).T, rcond=1e-10) @ wanted)
-        if np.abs(rows.T @ weights - wanted).max() < 1e-9 and np.abs(weights).sum() < LARGEST_SUM:
+        goes_by_nearest = order < 2 or weights[np.argmax(root)] >= LEAST_OF_NEAREST
+        if goes_by_nearest and np.abs(rows.T @ weights - wanted).max() < 1e-9 and np.abs(weights).sum() < LARGEST_SUM:
             return order, weights
     raise AssertionError("no site")
 

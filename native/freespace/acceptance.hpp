@@ -38,8 +38,8 @@ struct Options {
     if (!has_images) return out;
     out.acceptance = std::array{0.45, 0.39, 0.3}[std::size_t(lattices)];
     out.of_weak = std::array{0.5, 0.5, 0.3}[std::size_t(lattices)];
-    if (narrow) out.acceptance = out.of_weak = 0.2, out.separation = 2;
-    out.lattice_limit = 6 / out.acceptance;
+    if (narrow) out.acceptance = out.of_weak = 0.2, out.separation = 3;
+    out.lattice_limit = (narrow ? 8 : 6) / out.acceptance;
     return out;
   }
   /// What charge in the first layers of cells at a Dirichlet wall counts at ghosts of open faces beside it, where that

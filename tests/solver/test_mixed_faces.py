@@ -237,6 +237,31 @@ def test_ghosts_of_all_mixes_on_boxes_of_other_shapes(mix, shape):
         check_ghosts(faces(",".join(axes)), SHAPES[shape], TURNS[:2])
 
 
+# Conductors that are closer to each other than the box is long, or than its cells are: (cells, spacing).
+GAPS = {
+    "no,dd,do": ((16, 14, 16), (72.0, 1.0, 72.0)),
+    "oo,pp,dn": ((32, 12, 20), (31.0, 31.0, 1.0)),
+    "oo,od,dd": ((12, 12, 8), (100.0, 100.0, 1.0)),
+    "oo,pp,dd": ((24, 32, 12), (10.0, 10.0, 1.0)),
+    "oo,dd,nd": ((48, 8, 8), (1.0, 1.0, 1.0)),
+}
+LAYERS = 16  # until next to nothing is left of the potential
+
+
+@pytest.mark.parametrize("mix", GAPS)
+def test_ghosts_beside_narrow_gaps(mix):
+    """Against a box that goes on, empty, behind its open faces until the potential has faded."""
+    (cells, spacing), boundary = GAPS[mix], faces(mix)
+    padding = [tuple(LAYERS if face == "open" else 0 for face in pair) for pair in boundary]
+    around = [slice(before, before + n + 2) for (before, _), n in zip(padding, cells, strict=True)]
+    for charges in sources(cells):
+        longer = np.pad(counted_at_ghosts(charges, boundary), padding)
+        empty = ghosts_of(np.zeros(np.add(longer.shape, 2)))
+        exact = np.pad(solved(longer, spacing, boundary, empty)[0], 1)[tuple(around)]
+        found = ghost_errors(walls(charges, spacing, boundary), exact, exact, spacing, boundary)
+        assert found["ghosts"] < 1.5e-4 and found["phi"] < 5e-5 and found["field"] < 1e-4, found
+
+
 @pytest.mark.parametrize("mix", CONSTANTS)
 def test_images_of_a_charge_have_the_known_potential(mix):
     def of_mesh(n):

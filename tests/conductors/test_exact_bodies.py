@@ -233,7 +233,7 @@ DISK = 8 * epsilon_0  # F, of a foil of 1 m radius
 def test_open_faces_settle_beside_a_foil_however_near_to_centres_of_cells(share):
     """Charge on short arms is what the rest of the equation leaves: the error of φ over such an arm would never settle."""
     hierarchy = Hierarchy(MPI.COMM_SELF, Domain(-2, 2, 32, "open"))
-    foil = [Electrode("foil", shapes.Disk((0.013, 0.021, (0.5 + share) / 8), "z", 1), voltage=1)]
+    foil = [Electrode("foil", shapes.Disk((0.013, 0.021, (0.5 + share) / 8), (0, 0, 1), 1), voltage=1)]
     _, _, report = solve(hierarchy, foil, tolerance=1e-10)
     assert report.cycles <= 16
     assert report.charges["foil"] == pytest.approx(DISK, rel=0.025)
@@ -243,7 +243,7 @@ def test_open_faces_settle_beside_a_foil_however_near_to_centres_of_cells(share)
 @pytest.mark.parametrize("height", [0.0, 8e-3])
 def test_a_disk_with_levels_at_its_edge_has_its_capacitance_to_two_in_a_thousand(height):
     """-0.61, -0.09 and -0.17 % with 2, 3 and 4 levels, the last for either place in cells."""
-    foil = [Electrode("foil", shapes.Disk((0.013, 0.021, height), "z", 1), voltage=1)]
+    foil = [Electrode("foil", shapes.Disk((0.013, 0.021, height), (0, 0, 1), 1), voltage=1)]
     hierarchy = Hierarchy.around(Domain(-2, 2, 32), foil, levels=0, edges=4)
     _, _, report = solve(hierarchy, foil, tolerance=1e-8)
     assert report.charges["foil"] == pytest.approx(DISK, rel=2e-3)

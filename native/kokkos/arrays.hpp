@@ -25,6 +25,17 @@ constexpr bool on_host = false;
 constexpr bool on_host = std::is_same_v<Space::memory_space, Kokkos::HostSpace>;
 #endif
 
+/// Copy values and wait; without any, nothing is waited for.
+template <class To, class From>
+void copy_values(To const& to, From const& from) {
+  if (from.size() > 0) Kokkos::deep_copy(to, from);
+}
+/// Set values, in turn with kernels.
+template <class T>
+void fill(Array<T> const& array, T const& value) {
+  if (array.size() > 0) Kokkos::deep_copy(Space(), array, value);
+}
+
 /// A host's values as kernels have them: themselves, or a copy, which is brought up to date where the caller says so.
 template <class T>
 class Mirrored {
@@ -39,13 +50,13 @@ class Mirrored {
   }
   KOKKOS_INLINE_FUNCTION Array<T> const& array() const { return array_; }
   void to_device() const {
-    if constexpr (!on_host) Kokkos::deep_copy(array_, host_);
+    if constexpr (!on_host) copy_values(array_, host_);
   }
   void to_host() const {
     if constexpr (on_host)
       Kokkos::fence();
     else
-      Kokkos::deep_copy(host_, array_);
+      copy_values(host_, array_);
   }
 
  private:

@@ -21,8 +21,7 @@ RemoteBuffers::RemoteBuffers(RemoteReads const& reads) {
 }
 
 void RemoteBuffers::pass(RemoteReads const& reads) const {
-  Kokkos::deep_copy(host_sent_, sent_);
-  Kokkos::fence();
+  copy_values(host_sent_, sent_);
   Real const* from = host_sent_.data();
   reads.start([&](int, Read const& read, Real* out) {
     std::copy_n(from, read.part.cells(), out);
@@ -31,7 +30,7 @@ void RemoteBuffers::pass(RemoteReads const& reads) const {
   reads.finish();
   reads.settle();
   std::copy_n(reads.values(), reads.size(), host_received_.data());
-  Kokkos::deep_copy(received_, host_received_);
+  copy_values(received_, host_received_);
 }
 
 // ---- lists ----

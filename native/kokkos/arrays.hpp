@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cstdint>
 #include <type_traits>
+#include <utility>
 #include <vector>
 
 #include "base/range.hpp"
@@ -16,6 +17,9 @@ using Space = Kokkos::DefaultExecutionSpace;
 
 template <class T>
 using Array = Kokkos::View<T*, Kokkos::LayoutLeft, Space>;
+/// Memory that others own.
+template <class T>
+using OnHost = Kokkos::View<T*, Kokkos::LayoutLeft, Kokkos::HostSpace, Kokkos::MemoryUnmanaged>;
 
 /// Whether kernels read and write the host's own memory: nothing is copied then, and a row belongs to one thread.
 /// AMRPIC_APART rehearses a card on the host: with copies of their own, and teams.
@@ -41,16 +45,29 @@ template <class T>
 class Mirrored {
  public:
   Mirrored() = default;
-  Mirrored(T* host, std::size_t n) : host_(host, n) {
-    if constexpr (on_host)
-      array_ = Array<T>(host, n);
-    else
-      array_ = Array<T>(Kokkos::view_alloc(Kokkos::WithoutInitializing, "values"), n);
+  Mirrored(T* host, std::size_t n) {
+    stand_for(host, n);
     to_device();
+  }
+  /// From now on these are other values of the host, which kernels have yet to get. Their memory is used again.
+  void stand_for(T* host, std::size_t n) {
+    host_ = OnHost<T>(host, n);
+    if constexpr (on_host) {
+      array_ = Array<T>(host, n);
+    } else {
+      if (room_.size() < n) {
+        array_ = room_ = {};
+        room_ = Array<T>(Kokkos::view_alloc(Kokkos::WithoutInitializing, "values"), n);
+      }
+      array_ = Kokkos::subview(room_, std::make_pair(std::size_t(0), n));
+    }
   }
   KOKKOS_INLINE_FUNCTION Array<T> const& array() const { return array_; }
   void to_device() const {
     if constexpr (!on_host) copy_values(array_, host_);
+  }
+  void zeros_to_device() const {  ///< which the host's values are
+    if constexpr (!on_host) fill(array_, T(0));
   }
   void to_host() const {
     if constexpr (on_host)
@@ -60,16 +77,15 @@ class Mirrored {
   }
 
  private:
-  Kokkos::View<T*, Kokkos::LayoutLeft, Kokkos::HostSpace, Kokkos::MemoryUnmanaged> host_;
-  Array<T> array_;
+  OnHost<T> host_;
+  Array<T> array_, room_;
 };
 
 /// A copy of a list in the kernels' memory.
 template <class T, class Allocator>
 Array<T> on_device(std::vector<T, Allocator> const& values) {
   Array<T> out(Kokkos::view_alloc(Kokkos::WithoutInitializing, "list"), values.size());
-  Kokkos::deep_copy(out, Kokkos::View<T const*, Kokkos::LayoutLeft, Kokkos::HostSpace, Kokkos::MemoryUnmanaged>(
-                             values.data(), values.size()));
+  Kokkos::deep_copy(out, OnHost<T const>(values.data(), values.size()));
   return out;
 }
 

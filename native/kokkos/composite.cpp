@@ -363,14 +363,16 @@ void Composite::plan_exchanges(int l, OnLevel& level) {
 
 // ---- potentials ----
 
-void Composite::start(Source const& source, Field& phi) {
-  auto const mirrored = [](auto const& values) {
-    return Mirrored<Real>(const_cast<Real*>(values.data()), values.size());
+void Composite::start(Source const& source, Field& phi, bool is_zero) {
+  auto const mirror = [](auto const& values, Mirrored<Real>& out) {
+    out.stand_for(const_cast<Real*>(values.data()), values.size());
   };
   for (int l = 0; l < mesh_.levels(); ++l) {
     OnLevel& level = levels_[std::size_t(l)];
-    level.phi = mirrored(phi.level(l)), level.rho = mirrored(source.rho.level(l));
-    level.datum = mirrored(source.walls[std::size_t(l)].datum);
+    mirror(phi.level(l), level.phi), mirror(source.rho.level(l), level.rho);
+    mirror(source.walls[std::size_t(l)].datum, level.datum);
+    is_zero ? level.phi.zeros_to_device() : level.phi.to_device();
+    level.rho.to_device(), level.datum.to_device();
   }
   potentials_ = on_device(source.potentials);
 }

@@ -40,9 +40,7 @@ std::vector<Pool*>& pools() {
 
 }  // namespace
 
-Pool::Pool(double most_idle) : most_idle_(most_idle) {
-  pools().push_back(this);
-}
+Pool::Pool(double most_idle) : most_idle_(most_idle) { pools().push_back(this); }
 
 void Pool::lock_pages(PageLock const& by) {
   page_lock = by;

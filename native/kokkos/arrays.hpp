@@ -117,6 +117,17 @@ KOKKOS_INLINE_FUNCTION void along(int first, int last, int n, T const* here, T l
 
 using Team = Kokkos::TeamPolicy<Space>::member_type;
 
+/// So many teams. On a card they are small: rows are short, and the more of them are under way the less is waited for.
+inline Kokkos::TeamPolicy<Space> teams(std::int32_t count) {
+#ifdef AMRPIC_APART
+  return {count, Kokkos::AUTO};
+#else
+  return {count, 64};
+#endif
+}
+/// How many are under way at once, at least.
+inline std::int32_t teams_at_once() { return std::max(1, std::int32_t(Space().concurrency()) / 128); }
+
 /// Whoever works on one row.
 struct Worker {
   static constexpr bool has_vectors = on_host;
@@ -157,12 +168,13 @@ struct Loop {
   KOKKOS_INLINE_FUNCTION void operator()(Team const& team) const { f(Worker{&team}, first + team.league_rank()); }
 };
 
-/// The sum, or the largest, of what f gives for each row.
+/// The sum, or the largest, of what f gives for each row: to each thread of a team its own part.
 template <class F>
 struct Reduction {
   using value_type = double;
   F f;
   bool largest;
+  std::int32_t rows;
   KOKKOS_INLINE_FUNCTION void init(double& out) const { out = 0; }
   KOKKOS_INLINE_FUNCTION void join(volatile double& out, double const volatile& other) const { combine(out, other); }
   KOKKOS_INLINE_FUNCTION void join(double& out, double const& other) const { combine(out, other); }
@@ -172,8 +184,8 @@ struct Reduction {
   }
   KOKKOS_INLINE_FUNCTION void operator()(std::int32_t row, double& out) const { combine(out, f(Worker{nullptr}, row)); }
   KOKKOS_INLINE_FUNCTION void operator()(Team const& team, double& out) const {
-    double const value = f(Worker{&team}, team.league_rank());
-    Kokkos::single(Kokkos::PerTeam(team), [&] { combine(out, value); });
+    for (std::int32_t row = team.league_rank(); row < rows; row += team.league_size())
+      combine(out, f(Worker{&team}, row));
   }
 };
 
@@ -186,8 +198,7 @@ void for_each_row(char const* name, Range const& range, F const& f) {
   if constexpr (on_host)
     Kokkos::parallel_for(name, Kokkos::RangePolicy<Space>(range.first, range.last), rows::Loop<F>{f, 0});
   else
-    Kokkos::parallel_for(name, Kokkos::TeamPolicy<Space>(range.last - range.first, Kokkos::AUTO),
-                         rows::Loop<F>{f, range.first});
+    Kokkos::parallel_for(name, teams(range.last - range.first), rows::Loop<F>{f, range.first});
 }
 template <class T, class F>
 void for_each_row(char const* name, Array<T> const& list, F const& f) {
@@ -198,12 +209,13 @@ void for_each_row(char const* name, Array<T> const& list, F const& f) {
 template <class T, class F>
 double reduced(char const* name, Array<T> const& list, bool largest, F const& f) {
   double out = 0;
-  int const count = int(list.extent(0));
+  std::int32_t const count = std::int32_t(list.extent(0));
   if (count == 0) return out;
+  rows::Reduction<F> const reduction{f, largest, count};
   if constexpr (on_host)
-    Kokkos::parallel_reduce(name, Kokkos::RangePolicy<Space>(0, count), rows::Reduction<F>{f, largest}, out);
+    Kokkos::parallel_reduce(name, Kokkos::RangePolicy<Space>(0, count), reduction, out);
   else
-    Kokkos::parallel_reduce(name, Kokkos::TeamPolicy<Space>(count, Kokkos::AUTO), rows::Reduction<F>{f, largest}, out);
+    Kokkos::parallel_reduce(name, teams(std::min(count, teams_at_once())), reduction, out);
   return out;
 }
 

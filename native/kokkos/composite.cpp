@@ -432,7 +432,8 @@ struct Sizes {
     }
     return Magnitude::sum_of(norm, values, n, factor);
   }
-  /// Of what value(i, before, after) gives for the cells of a row of n, whose ends have values beyond them.
+  /// Of what value(i, before, after) gives for the cells of a row of n, whose ends have values beyond them; those of a
+  /// team's thread where there are teams.
   template <class T, class Value>
   KOKKOS_INLINE_FUNCTION Real over(Worker const& worker, int n, T const* here, T left, T right,
                                    Value const& value) const {
@@ -445,13 +446,8 @@ struct Sizes {
         join(out, of_all(values, last - first));
       }
     } else {
-      auto const add = [&](int i, Real& sum) {
-        join(sum, of(value(i, i > 0 ? here[i - 1] : left, i + 1 < n ? here[i + 1] : right)));
-      };
-      if (norm == Norm::max)
-        Kokkos::parallel_reduce(Kokkos::TeamVectorRange(*worker.team, n), add, Kokkos::Max<Real>(out));
-      else
-        Kokkos::parallel_reduce(Kokkos::TeamVectorRange(*worker.team, n), add, out);
+      worker.for_each(
+          n, [&](int i) { join(out, of(value(i, i > 0 ? here[i - 1] : left, i + 1 < n ? here[i + 1] : right))); });
     }
     return out;
   }

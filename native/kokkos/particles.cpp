@@ -245,9 +245,7 @@ class TileValues {
   void to_device() const {
     for (auto const& [host, values] : places_) Kokkos::deep_copy(Space(), values, host);
   }
-  void zeros_to_device() const {
-    fill(kept().tiles, Real(0));
-  }
+  void zeros_to_device() const { fill(kept().tiles, Real(0)); }
   void to_host() const {
     for (auto const& [host, values] : places_) Kokkos::deep_copy(Space(), host, values);
     Kokkos::fence();

@@ -30,7 +30,28 @@ constexpr std::size_t small_page = 4096, large_page = std::size_t(1) << 21;
   return block;
 }
 
+PageLock page_lock;
+
+/// Never destroyed, as the pools themselves.
+std::vector<Pool*>& pools() {
+  static auto* const all = new std::vector<Pool*>;
+  return *all;
+}
+
 }  // namespace
+
+Pool::Pool(double most_idle) : most_idle_(most_idle) { pools().push_back(this); }
+
+void Pool::lock_pages(PageLock const& by) {
+  page_lock = by;
+  for (Pool* pool : pools()) pool->lock_all();
+}
+
+void Pool::lock_all() {
+  std::lock_guard const lock(mutex_);
+  for (IdleMemory const& block : idle_) page_lock.lock(block.memory, block.bytes);
+  for (auto const& [memory, bytes] : sizes_) page_lock.lock(memory, bytes);
+}
 
 #ifdef AMRPIC_NO_POOL
 // For sanitizers (`make sanitize`): each block by itself, its last byte the last that may be read.
@@ -55,6 +76,7 @@ void* Pool::take(std::size_t bytes) {
   } else {
     while (!idle_.empty() && used_total_ + idle_total_ + bytes > most_used_) free_oldest();
     memory = new_block(bytes);
+    if (page_lock.lock) page_lock.lock(memory, bytes);
   }
   sizes_[memory] = bytes;
   used_total_ += bytes;
@@ -89,6 +111,7 @@ void Pool::free_what_is_too_much() noexcept {
 }
 
 void Pool::free_oldest() {
+  if (page_lock.unlock) page_lock.unlock(idle_.front().memory);
   std::free(idle_.front().memory);
   idle_total_ -= idle_.front().bytes;
   idle_.erase(idle_.begin());

@@ -9,11 +9,21 @@
 
 namespace amrpic {
 
+/// How a device is told of memory that it is to copy from and to without a detour, and that it is to forget it. What it
+/// cannot take it copies as before.
+struct PageLock {
+  void (*lock)(void* memory, std::size_t bytes) = nullptr;
+  void (*unlock)(void* memory) = nullptr;
+};
+
 class Pool {
  public:
   /// At most `most_idle` times the memory in use lies idle, beside what is reserved, and never so much that with what
   /// is in use it would be more than was once in use at a time.
-  explicit Pool(double most_idle) : most_idle_(most_idle) {}
+  explicit Pool(double most_idle);
+
+  /// From now on let a device know the blocks of all pools.
+  static void lock_pages(PageLock const& by);
 
   /// A block of at least so many bytes, starting on a page, with whatever it holds. Throws std::bad_alloc.
   void* take(std::size_t bytes);
@@ -31,6 +41,7 @@ class Pool {
     std::size_t bytes;
     void* memory;
   };
+  void lock_all();
   void free_oldest();
   void free_what_is_too_much() noexcept;
 

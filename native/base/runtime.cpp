@@ -4,6 +4,7 @@
 
 #include "base/error.hpp"
 #include "base/kokkos.hpp"
+#include "base/pool.hpp"
 #ifdef AMRPIC_WITHOUT_TRILINOS
 #include <Kokkos_Core.hpp>
 #else
@@ -38,6 +39,25 @@ std::string card_name() {
 #endif
 }
 
+/// Let a card copy from and to large arrays directly: through memory of the driver's it takes several times as long.
+void lock_pages() {
+#if defined(KOKKOS_ENABLE_CUDA)
+  Pool::lock_pages({[](void* memory, std::size_t bytes) {
+                      if (cudaHostRegister(memory, bytes, cudaHostRegisterDefault) != cudaSuccess) cudaGetLastError();
+                    },
+                    [](void* memory) {
+                      if (cudaHostUnregister(memory) != cudaSuccess) cudaGetLastError();
+                    }});
+#elif defined(KOKKOS_ENABLE_HIP)
+  Pool::lock_pages({[](void* memory, std::size_t bytes) {
+                      if (hipHostRegister(memory, bytes, hipHostRegisterDefault) != hipSuccess) (void)hipGetLastError();
+                    },
+                    [](void* memory) {
+                      if (hipHostUnregister(memory) != hipSuccess) (void)hipGetLastError();
+                    }});
+#endif
+}
+
 // Never destroyed: an AtFinalize may outlive the static objects of this file.
 std::list<std::function<void()>>& releases() {
   static auto* list = new std::list<std::function<void()>>;
@@ -68,6 +88,7 @@ void require_kokkos() {
   if (!initialized && reason.empty()) try {
       Kokkos::initialize();
       initialized = true;
+      lock_pages();
     } catch (std::exception const& error) {
       reason = error.what();
       reason = "Kokkos finds no device for its " + std::string(Space::name()) +

@@ -44,17 +44,14 @@ struct Parents {
   }
   /// Row (j, k) lies between its parents' row and the next ones on its own side.
   KOKKOS_INLINE_FUNCTION CoarseRows rows_of(int j, int k, float const* values) const {
-    CoarseRows out;
-    out.count = 0;
     float const* const here = values + cells.place(0, parent(1, j), parent(2, k));
     int const y = toward(1, j), z = toward(2, k);
-    float const far_y = far(1, j), far_z = far(2, k);
-    for (int beyond_z = 0; beyond_z <= (z != 0); ++beyond_z)
-      for (int beyond_y = 0; beyond_y <= (y != 0); ++beyond_y, ++out.count) {
-        out.row[std::size_t(out.count)] = here + beyond_y * y * cells.pitch_y + beyond_z * z * cells.pitch_z;
-        out.weight[std::size_t(out.count)] = (beyond_y ? far_y : 1 - far_y) * (beyond_z ? far_z : 1 - far_z);
-      }
-    return out;
+    float const far_y = far(1, j), far_z = far(2, k), near_y = 1 - far_y, near_z = 1 - far_z;
+    auto const step_y = y * cells.pitch_y, step_z = z * cells.pitch_z;
+    bool const along_y = y != 0;  // no number is a place in an array: a card would keep that in memory
+    return {{here, here + (along_y ? step_y : step_z), here + step_z, here + step_y + step_z},
+            {near_y * near_z, along_y ? far_y * near_z : near_y * far_z, near_y * far_z, far_y * far_z},
+            (along_y ? 2 : 1) * (z != 0 ? 2 : 1)};
   }
 };
 

@@ -7,6 +7,14 @@
 #include "cycle/parents.hpp"
 #include "cycle/row_table.hpp"
 
+/// On the host what is rare stays out of loops over whole vectors. On a card a call would put all that it is given, and
+/// the table of the level with it, into memory, for each cell.
+#if defined(__CUDA_ARCH__) || defined(__HIP_DEVICE_COMPILE__)
+#define AMRPIC_OUT_OF_LINE
+#else
+#define AMRPIC_OUT_OF_LINE [[gnu::noinline]]
+#endif
+
 namespace amrpic::cycle {
 
 /// A thread of the host.
@@ -31,8 +39,8 @@ KOKKOS_INLINE_FUNCTION void for_each_cut(RowTable const& level, Row const& row, 
 
 /// Set what metal makes zero in a row of values.
 template <class Worker>
-[[gnu::noinline]] KOKKOS_INLINE_FUNCTION void clear_solid(RowTable const& level, Row const& row, float* values,
-                                                          Worker const& worker) {
+AMRPIC_OUT_OF_LINE KOKKOS_INLINE_FUNCTION void clear_solid(RowTable const& level, Row const& row, float* values,
+                                                           Worker const& worker) {
   if (!level.has_metal(row)) return;
   MetalRow const& metal = level.metal(row);
   for (int n = 0; n < metal.solids; ++n) {
@@ -44,9 +52,9 @@ template <class Worker>
 // What is done to cut cells stays out of the loops over whole vectors.
 /// The values of the cut cells at places of some parity after a step, into `cut_values`.
 template <class Worker>
-[[gnu::noinline]] KOKKOS_INLINE_FUNCTION void relax_cut(RowTable const& level, Row const& row, int parity,
-                                                        CorrectionRow const& at, float const* right,
-                                                        Worker const& worker) {
+AMRPIC_OUT_OF_LINE KOKKOS_INLINE_FUNCTION void relax_cut(RowTable const& level, Row const& row, int parity,
+                                                         CorrectionRow const& at, float const* right,
+                                                         Worker const& worker) {
   for_each_cut(level, row, parity, worker, [&](CutPlace const& cut, int n) {
     int const i = cut.place;
     level.cut_values[n] = relaxed(level.keep, at.here[i], cut.step, level.sum(row, at, cut), right[i]);
@@ -54,15 +62,15 @@ template <class Worker>
 }
 /// These put in place.
 template <class Worker>
-[[gnu::noinline]] KOKKOS_INLINE_FUNCTION void place_cut(RowTable const& level, Row const& row, int parity, float* here,
-                                                        Worker const& worker) {
+AMRPIC_OUT_OF_LINE KOKKOS_INLINE_FUNCTION void place_cut(RowTable const& level, Row const& row, int parity, float* here,
+                                                         Worker const& worker) {
   worker.barrier();
   for_each_cut(level, row, parity, worker, [&](CutPlace const& cut, int n) { here[cut.place] = level.cut_values[n]; });
 }
 template <class Worker>
-[[gnu::noinline]] KOKKOS_INLINE_FUNCTION void relax_cut_from_zero(RowTable const& level, Row const& row, int parity,
-                                                                  float const* right, float* here,
-                                                                  Worker const& worker) {
+AMRPIC_OUT_OF_LINE KOKKOS_INLINE_FUNCTION void relax_cut_from_zero(RowTable const& level, Row const& row, int parity,
+                                                                   float const* right, float* here,
+                                                                   Worker const& worker) {
   worker.barrier();
   for_each_cut(level, row, parity, worker,
                [&](CutPlace const& cut, int) { here[cut.place] = relaxed_from_zero(cut.step, right[cut.place]); });

@@ -135,7 +135,7 @@ inline void restrict_row(float const* fine, int cells, int ratio, float weight, 
   }
 }
 
-/// Up to four rows of a coarser level, and what a fine row takes of each; `row` points at the first parent.
+/// One, two or four rows of a coarser level, and what a fine row takes of each; `row` points at the first parent.
 struct CoarseRows {
   std::array<float const*, 4> row;
   std::array<float, 4> weight;
@@ -145,7 +145,8 @@ struct CoarseRows {
 /// The weighted sum over coarse rows at one place.
 KOKKOS_INLINE_FUNCTION float mean(CoarseRows const& coarse, int place) {
   float sum = 0;
-  for (int c = 0; c < coarse.count; ++c) sum += coarse.weight[std::size_t(c)] * coarse.row[std::size_t(c)][place];
+  for (std::size_t c = 0; c < 4; ++c)
+    if (int(c) < coarse.count) sum += coarse.weight[c] * coarse.row[c][place];
   return sum;
 }
 

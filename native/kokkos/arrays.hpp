@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cstdint>
 #include <type_traits>
+#include <utility>
 #include <vector>
 
 #include "base/range.hpp"
@@ -16,6 +17,9 @@ using Space = Kokkos::DefaultExecutionSpace;
 
 template <class T>
 using Array = Kokkos::View<T*, Kokkos::LayoutLeft, Space>;
+/// Memory that others own.
+template <class T>
+using OnHost = Kokkos::View<T*, Kokkos::LayoutLeft, Kokkos::HostSpace, Kokkos::MemoryUnmanaged>;
 
 /// Whether kernels read and write the host's own memory: nothing is copied then, and a row belongs to one thread.
 /// AMRPIC_APART rehearses a card on the host: with copies of their own, and teams.
@@ -25,40 +29,63 @@ constexpr bool on_host = false;
 constexpr bool on_host = std::is_same_v<Space::memory_space, Kokkos::HostSpace>;
 #endif
 
+/// Copy values and wait; without any, nothing is waited for.
+template <class To, class From>
+void copy_values(To const& to, From const& from) {
+  if (from.size() > 0) Kokkos::deep_copy(to, from);
+}
+/// Set values, in turn with kernels.
+template <class T>
+void fill(Array<T> const& array, T const& value) {
+  if (array.size() > 0) Kokkos::deep_copy(Space(), array, value);
+}
+
 /// A host's values as kernels have them: themselves, or a copy, which is brought up to date where the caller says so.
 template <class T>
 class Mirrored {
  public:
   Mirrored() = default;
-  Mirrored(T* host, std::size_t n) : host_(host, n) {
-    if constexpr (on_host)
-      array_ = Array<T>(host, n);
-    else
-      array_ = Array<T>(Kokkos::view_alloc(Kokkos::WithoutInitializing, "values"), n);
+  Mirrored(T* host, std::size_t n) {
+    stand_for(host, n);
     to_device();
+  }
+  /// From now on these are other values of the host, which kernels have yet to get. Their memory is used again.
+  void stand_for(T* host, std::size_t n) {
+    host_ = OnHost<T>(host, n);
+    if constexpr (on_host) {
+      array_ = Array<T>(host, n);
+    } else {
+      if (room_.size() < n) {
+        array_ = room_ = {};
+        room_ = Array<T>(Kokkos::view_alloc(Kokkos::WithoutInitializing, "values"), n);
+      }
+      array_ = Kokkos::subview(room_, std::make_pair(std::size_t(0), n));
+    }
   }
   KOKKOS_INLINE_FUNCTION Array<T> const& array() const { return array_; }
   void to_device() const {
-    if constexpr (!on_host) Kokkos::deep_copy(array_, host_);
+    if constexpr (!on_host) copy_values(array_, host_);
+  }
+  void zeros_to_device() const {  ///< which the host's values are
+    if constexpr (!on_host) fill(array_, T(0));
   }
   void to_host() const {
     if constexpr (on_host)
       Kokkos::fence();
     else
-      Kokkos::deep_copy(host_, array_);
+      copy_values(host_, array_);
   }
 
  private:
-  Kokkos::View<T*, Kokkos::LayoutLeft, Kokkos::HostSpace, Kokkos::MemoryUnmanaged> host_;
-  Array<T> array_;
+  OnHost<T> host_;
+  Array<T> array_, room_;
 };
 
 /// A copy of a list in the kernels' memory.
 template <class T, class Allocator>
 Array<T> on_device(std::vector<T, Allocator> const& values) {
   Array<T> out(Kokkos::view_alloc(Kokkos::WithoutInitializing, "list"), values.size());
-  Kokkos::deep_copy(out, Kokkos::View<T const*, Kokkos::LayoutLeft, Kokkos::HostSpace, Kokkos::MemoryUnmanaged>(
-                             values.data(), values.size()));
+  Kokkos::deep_copy(out, OnHost<T const>(values.data(), values.size()));
   return out;
 }
 
@@ -89,6 +116,17 @@ KOKKOS_INLINE_FUNCTION void along(int first, int last, int n, T const* here, T l
 }
 
 using Team = Kokkos::TeamPolicy<Space>::member_type;
+
+/// So many teams. On a card they are small: rows are short, and the more of them are under way the less is waited for.
+inline Kokkos::TeamPolicy<Space> teams(std::int32_t count) {
+#ifdef AMRPIC_APART
+  return {count, Kokkos::AUTO};
+#else
+  return {count, 64};
+#endif
+}
+/// How many are under way at once, at least.
+inline std::int32_t teams_at_once() { return std::max(1, std::int32_t(Space().concurrency()) / 128); }
 
 /// Whoever works on one row.
 struct Worker {
@@ -130,12 +168,13 @@ struct Loop {
   KOKKOS_INLINE_FUNCTION void operator()(Team const& team) const { f(Worker{&team}, first + team.league_rank()); }
 };
 
-/// The sum, or the largest, of what f gives for each row.
+/// The sum, or the largest, of what f gives for each row: to each thread of a team its own part.
 template <class F>
 struct Reduction {
   using value_type = double;
   F f;
   bool largest;
+  std::int32_t rows;
   KOKKOS_INLINE_FUNCTION void init(double& out) const { out = 0; }
   KOKKOS_INLINE_FUNCTION void join(volatile double& out, double const volatile& other) const { combine(out, other); }
   KOKKOS_INLINE_FUNCTION void join(double& out, double const& other) const { combine(out, other); }
@@ -145,8 +184,8 @@ struct Reduction {
   }
   KOKKOS_INLINE_FUNCTION void operator()(std::int32_t row, double& out) const { combine(out, f(Worker{nullptr}, row)); }
   KOKKOS_INLINE_FUNCTION void operator()(Team const& team, double& out) const {
-    double const value = f(Worker{&team}, team.league_rank());
-    Kokkos::single(Kokkos::PerTeam(team), [&] { combine(out, value); });
+    for (std::int32_t row = team.league_rank(); row < rows; row += team.league_size())
+      combine(out, f(Worker{&team}, row));
   }
 };
 
@@ -159,8 +198,7 @@ void for_each_row(char const* name, Range const& range, F const& f) {
   if constexpr (on_host)
     Kokkos::parallel_for(name, Kokkos::RangePolicy<Space>(range.first, range.last), rows::Loop<F>{f, 0});
   else
-    Kokkos::parallel_for(name, Kokkos::TeamPolicy<Space>(range.last - range.first, Kokkos::AUTO),
-                         rows::Loop<F>{f, range.first});
+    Kokkos::parallel_for(name, teams(range.last - range.first), rows::Loop<F>{f, range.first});
 }
 template <class T, class F>
 void for_each_row(char const* name, Array<T> const& list, F const& f) {
@@ -171,12 +209,13 @@ void for_each_row(char const* name, Array<T> const& list, F const& f) {
 template <class T, class F>
 double reduced(char const* name, Array<T> const& list, bool largest, F const& f) {
   double out = 0;
-  int const count = int(list.extent(0));
+  std::int32_t const count = std::int32_t(list.extent(0));
   if (count == 0) return out;
+  rows::Reduction<F> const reduction{f, largest, count};
   if constexpr (on_host)
-    Kokkos::parallel_reduce(name, Kokkos::RangePolicy<Space>(0, count), rows::Reduction<F>{f, largest}, out);
+    Kokkos::parallel_reduce(name, Kokkos::RangePolicy<Space>(0, count), reduction, out);
   else
-    Kokkos::parallel_reduce(name, Kokkos::TeamPolicy<Space>(count, Kokkos::AUTO), rows::Reduction<F>{f, largest}, out);
+    Kokkos::parallel_reduce(name, teams(std::min(count, teams_at_once())), reduction, out);
   return out;
 }
 

@@ -45,7 +45,7 @@ Array<float> const& Coarsening::target() const {
 /// The sums over the children of all parents, of residuals or of right-hand sides.
 template <bool of_residual>
 void Coarsening::restrict_rows() {
-  if (!plan_.in_place_) Kokkos::deep_copy(values_.array(), 0.0f);
+  if (!plan_.in_place_) fill(values_.array(), 0.0f);
   LevelTables const level = fine_.tables();
   Lists const on = lists_;
   auto const e = fine_.correction().array(), r = fine_.right_hand_side().array(), out = target();
@@ -81,7 +81,7 @@ void Coarsening::restrict_right_hand_side() {
 void Coarsening::add_to_coarse_level() {
   if (plan_.in_place_) return;
   auto const& r = coarse_.right_hand_side();
-  if (!plan_.refines_) Kokkos::deep_copy(r.array(), 0.0f);
+  if (!plan_.refines_) fill(r.array(), 0.0f);
   targets_of_residuals_.add(values_.array(), r.array());
   if (plan_.own_parts_ == 0) return;
   r.to_host();

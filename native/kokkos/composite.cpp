@@ -21,8 +21,7 @@ RemoteBuffers::RemoteBuffers(RemoteReads const& reads) {
 }
 
 void RemoteBuffers::pass(RemoteReads const& reads) const {
-  Kokkos::deep_copy(host_sent_, sent_);
-  Kokkos::fence();
+  copy_values(host_sent_, sent_);
   Real const* from = host_sent_.data();
   reads.start([&](int, Read const& read, Real* out) {
     std::copy_n(from, read.part.cells(), out);
@@ -31,7 +30,7 @@ void RemoteBuffers::pass(RemoteReads const& reads) const {
   reads.finish();
   reads.settle();
   std::copy_n(reads.values(), reads.size(), host_received_.data());
-  Kokkos::deep_copy(received_, host_received_);
+  copy_values(received_, host_received_);
 }
 
 // ---- lists ----
@@ -364,14 +363,16 @@ void Composite::plan_exchanges(int l, OnLevel& level) {
 
 // ---- potentials ----
 
-void Composite::start(Source const& source, Field& phi) {
-  auto const mirrored = [](auto const& values) {
-    return Mirrored<Real>(const_cast<Real*>(values.data()), values.size());
+void Composite::start(Source const& source, Field& phi, bool is_zero) {
+  auto const mirror = [](auto const& values, Mirrored<Real>& out) {
+    out.stand_for(const_cast<Real*>(values.data()), values.size());
   };
   for (int l = 0; l < mesh_.levels(); ++l) {
     OnLevel& level = levels_[std::size_t(l)];
-    level.phi = mirrored(phi.level(l)), level.rho = mirrored(source.rho.level(l));
-    level.datum = mirrored(source.walls[std::size_t(l)].datum);
+    mirror(phi.level(l), level.phi), mirror(source.rho.level(l), level.rho);
+    mirror(source.walls[std::size_t(l)].datum, level.datum);
+    is_zero ? level.phi.zeros_to_device() : level.phi.to_device();
+    level.rho.to_device(), level.datum.to_device();
   }
   potentials_ = on_device(source.potentials);
 }
@@ -435,7 +436,8 @@ struct Sizes {
     }
     return Magnitude::sum_of(norm, values, n, factor);
   }
-  /// Of what value(i, before, after) gives for the cells of a row of n, whose ends have values beyond them.
+  /// Of what value(i, before, after) gives for the cells of a row of n, whose ends have values beyond them; those of a
+  /// team's thread where there are teams.
   template <class T, class Value>
   KOKKOS_INLINE_FUNCTION Real over(Worker const& worker, int n, T const* here, T left, T right,
                                    Value const& value) const {
@@ -448,13 +450,8 @@ struct Sizes {
         join(out, of_all(values, last - first));
       }
     } else {
-      auto const add = [&](int i, Real& sum) {
-        join(sum, of(value(i, i > 0 ? here[i - 1] : left, i + 1 < n ? here[i + 1] : right)));
-      };
-      if (norm == Norm::max)
-        Kokkos::parallel_reduce(Kokkos::TeamVectorRange(*worker.team, n), add, Kokkos::Max<Real>(out));
-      else
-        Kokkos::parallel_reduce(Kokkos::TeamVectorRange(*worker.team, n), add, out);
+      worker.for_each(
+          n, [&](int i) { join(out, of(value(i, i > 0 ? here[i - 1] : left, i + 1 < n ? here[i + 1] : right))); });
     }
     return out;
   }

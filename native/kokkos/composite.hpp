@@ -95,8 +95,8 @@ class Composite {
   /// outlive this.
   Composite(CompositeMesh& mesh, std::vector<SweptLevel*> levels);
 
-  /// Take a charge density, the data of walls, and a potential averaged down, from the host.
-  void start(Source const& source, Field& phi);
+  /// Take a charge density, the data of walls, and a potential averaged down, or zero, from the host.
+  void start(Source const& source, Field& phi, bool is_zero);
   /// Bring the potential of the kernels to the host.
   void potential_to_host() const;
   /// And back.

@@ -13,7 +13,7 @@ class InterfaceCells {
   InterfaceCells(cycle::InterfaceCells const& plan, cycle::Layout const& layout);
 
   /// See cycle::InterfaceCells.
-  void start() { Kokkos::deep_copy(lists_.taken, FourStars<float>{}); }
+  void start() { fill(lists_.taken, FourStars<float>{}); }
   void subtract_coarse(Array<float> const& coarse_values, Array<float> const& r) const;
   void subtract_in_gaps(Array<float> const& e, Array<float> const& r) const;
   void subtract_flux(Array<float> const& e, Array<float> const& coarse_values) const;

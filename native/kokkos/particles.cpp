@@ -172,35 +172,88 @@ struct OverChunk {
   }
 };
 
+/// What kernels have of the host's values, in one run after another. Goes before Kokkos does.
+struct Kept {
+  std::vector<Mirrored<Real>> columns;
+  Array<Real> tiles;
+  AtFinalize release{[this] { columns.clear(), tiles = {}; }};
+};
+Kept& kept() {
+  static auto* const the_one = new Kept;
+  return *the_one;
+}
+
 /// Columns of particles [first, last) in the kernels' memory, each from where number 0 would be.
 class Columns {
  public:
   explicit Columns(std::vector<OnTiles> const& on) : first_(on.front().first), count_(on.back().last - first_) {}
   Real* read(Real const* column, bool is_one = false) {
     if (!column) return nullptr;
-    read_.emplace_back(const_cast<Real*>(column) + (is_one ? 0 : first_), std::size_t(is_one ? 1 : count_));
-    return read_.back().array().data() - (is_one ? 0 : first_);
+    std::int64_t const first = is_one ? 0 : first_;
+    Mirrored<Real> const& values = next(const_cast<Real*>(column) + first, is_one ? 1 : count_);
+    values.to_device();
+    return values.array().data() - first;
   }
   Real* written(Real* column) {
     if (!column) return nullptr;
-    HostColumn const host(column + first_, std::size_t(count_));
-    written_.emplace_back(host, Kokkos::create_mirror_view(Space::memory_space(), host));
-    return written_.back().second.data() - first_;
+    written_.push_back(used_);
+    return next(column + first_, count_).array().data() - first_;
   }
   std::array<Real*, 3> read(std::array<Real*, 3> const& of) { return {read(of[0]), read(of[1]), read(of[2])}; }
   std::array<Real*, 3> written(std::array<Real*, 3> const& of) {
     return {written(of[0]), written(of[1]), written(of[2])};
   }
   void to_host() const {
-    for (auto const& [host, column] : written_) Kokkos::deep_copy(host, column);
+    for (std::size_t n : written_) kept().columns[n].to_host();
   }
 
  private:
+  Mirrored<Real> const& next(Real* host, std::int64_t count) {
+    auto& columns = kept().columns;
+    if (used_ == columns.size()) columns.emplace_back();
+    columns[used_].stand_for(host, std::size_t(count));
+    return columns[used_++];
+  }
+
   std::int64_t first_, count_;
-  using HostColumn = Kokkos::View<Real*, Kokkos::LayoutLeft, Kokkos::HostSpace, Kokkos::MemoryUnmanaged>;
-  using Column = decltype(Kokkos::create_mirror_view(Space::memory_space(), std::declval<HostColumn>()));
-  std::vector<Mirrored<Real>> read_;
-  std::vector<std::pair<HostColumn, Column>> written_;
+  std::size_t used_ = 0;
+  std::vector<std::size_t> written_;
+};
+
+/// The values of tiles side by side in the kernels' memory, or, where that is the host's, where they are.
+class TileValues {
+ public:
+  explicit TileValues(std::vector<OnTiles> const& on) {
+    if constexpr (on_host) return;
+    std::size_t count = 0;
+    for (OnTiles const& box : on)
+      for (OnTiles::Numbers const& tile : box.by_depth) count += std::size_t(tile.count);
+    if (kept().tiles.size() < count) {
+      kept().tiles = {};
+      kept().tiles = Array<Real>(Kokkos::view_alloc(Kokkos::WithoutInitializing, "tiles"), count);
+    }
+  }
+  /// The place of the next one.
+  Real* next(OnTiles::Numbers const& tile) {
+    if constexpr (on_host) return tile.values;
+    std::size_t const first = last_;
+    last_ += std::size_t(tile.count);
+    places_.emplace_back(OnHost<Real>(tile.values, std::size_t(tile.count)),
+                         Kokkos::subview(kept().tiles, std::make_pair(first, last_)));
+    return places_.back().second.data();
+  }
+  void to_device() const {
+    for (auto const& [host, values] : places_) Kokkos::deep_copy(Space(), values, host);
+  }
+  void zeros_to_device() const { fill(kept().tiles, Real(0)); }
+  void to_host() const {
+    for (auto const& [host, values] : places_) Kokkos::deep_copy(Space(), host, values);
+    Kokkos::fence();
+  }
+
+ private:
+  std::vector<std::pair<OnHost<Real>, Array<Real>>> places_;
+  std::size_t last_ = 0;
 };
 
 /// Run an act over all particles; return the first that lies outside its box, or -1.
@@ -210,7 +263,7 @@ std::int64_t run(char const* name, Shape shape, std::vector<OnTiles> const& on, 
   std::vector<Chunk> chunks;
   std::vector<OnTiles::Numbers> tiles;
   std::vector<char> depths;
-  std::vector<Mirrored<Real>> values;
+  TileValues values(on);
   for (OnTiles const& box : on) {
     Chunk chunk{box.first, box.last, std::int32_t(tiles.size()), -1, {}};
     if (box.buffer) {
@@ -222,19 +275,18 @@ std::int64_t run(char const* name, Shape shape, std::vector<OnTiles> const& on, 
       chunks.push_back(chunk);
     }
     for (OnTiles::Numbers tile : box.by_depth) {
-      values.emplace_back(tile.values, std::size_t(tile.count));
-      tile.values = values.back().array().data();
+      tile.values = values.next(tile);
       tiles.push_back(tile);
     }
   }
+  Act::writes_tiles ? values.zeros_to_device() : values.to_device();
   Array<std::int64_t> const stray("particle outside its box", 1);
   Kokkos::deep_copy(stray, nobody);
   with_shape(shape, [&](auto s) {
     auto const list = on_device(chunks);
     for_each_row(name, list, OverChunk<decltype(s), Act>{list, on_device(tiles), on_device(depths), stray, act});
   });
-  if (Act::writes_tiles)
-    for (auto const& tile : values) tile.to_host();
+  if (Act::writes_tiles) values.to_host();
   std::int64_t first;
   Kokkos::deep_copy(first, Kokkos::subview(stray, 0));
   return first == nobody ? -1 : first;

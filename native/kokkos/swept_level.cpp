@@ -86,7 +86,7 @@ void SweptLevel::bring(int colours) {
 
 void SweptLevel::relax(int sweeps, bool from_zero, int further) {
   if (from_zero && sweeps == 0) {
-    Kokkos::deep_copy(e_.array(), 0.0f);
+    fill(e_.array(), 0.0f);
     stale_ = 0;
   }
   int reach = further + 2 * sweeps - 1;

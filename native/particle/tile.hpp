@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include "base/large_array.hpp"
 #include "particle/box_frame.hpp"
 #include "particle/bricks.hpp"
 #include "particle/lane_groups.hpp"
@@ -45,7 +46,7 @@ class Tile {
     Real value[lane_count];
   };
   Box box_;
-  std::vector<CacheLine> lines_;
+  std::vector<CacheLine, CacheLines<CacheLine>> lines_;
 };
 
 /// A particle that is not where it was sorted; thrown on its rank alone, to be caught by `for_each_occupied`.

@@ -24,7 +24,7 @@ class KokkosBackend : public Backend {
 
   void start(Field& phi, bool is_zero) override {
     Backend::start(phi, is_zero);
-    kernels_->composite.start(*source_, phi);
+    kernels_->composite.start(*source_, phi, is_zero && composite_.has_residual_of_zero());
     is_under_way_ = true;
     host_takes_part_ = false;
   }

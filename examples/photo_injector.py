@@ -78,6 +78,7 @@ def scene(folder: Path, cells: int, step: float, particles: int, levels: int) ->
                     "mean_transverse_energy": "0.4 eV",
                     "charge": "-200 pC",
                     "particles": particles,
+                    "sampling": "sobol",
                 }
             ],
             "elements": [

@@ -79,6 +79,7 @@ void initialize() {
   char** argv = arguments;
   Tpetra::initialize(&argc, &argv);
   initialized = true;
+  lock_pages();
 #endif
 }
 

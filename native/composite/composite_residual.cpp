@@ -15,7 +15,7 @@ namespace {
 /// Arm below which what is left of a cell's equation gives the flux through it. The difference over the arm has the
 /// error of phi times the inverse of it: after two cycles the charge on a foil with arms of 0.01 was five times too
 /// large, and open faces, which see it, did not settle.
-constexpr Real short_arm = 0.25;
+constexpr Real short_arm = wall_arm / 2;
 
 /// Call f(place in the plane, u, v, extent along u) for the cells of plane k of a box that lie at one of its faces.
 template <class F>

@@ -9,14 +9,17 @@ namespace amrpic {
 
 namespace {
 
-std::vector<CutCell> without_metal_behind_walls(std::vector<CutCell> cells, Box const& domain,
-                                                std::array<bool, 3> const& periodic) {
+/// Whether what cuts an arm lies behind a wall.
+bool is_behind_wall(CutCell const& cut, std::size_t n, Level const& level) {
+  int const axis = int(n) / 2;
+  bool const ends = cut.cell[axis] == (n % 2 == 0 ? level.domain().lower : level.domain().upper)[axis];
+  return ends && !level.periodic()[axis] && cut.arm[n] >= wall_arm;
+}
+
+std::vector<CutCell> without_metal_behind_walls(std::vector<CutCell> cells, Level const& level) {
   for (CutCell& cut : cells)
-    for (std::size_t n = 0; n < 6; ++n) {
-      int const axis = int(n) / 2;
-      bool const ends = cut.cell[axis] == (n % 2 == 0 ? domain.lower : domain.upper)[axis];
-      if (ends && !periodic[axis] && cut.arm[n] >= wall_arm) cut.electrode[n] = -1;
-    }
+    for (std::size_t n = 0; n < 6; ++n)
+      if (is_behind_wall(cut, n, level)) cut.electrode[n] = -1;
   auto const is_whole = [](CutCell const& cut) { return !cut.is_cut(); };
   cells.erase(std::remove_if(cells.begin(), cells.end(), is_whole), cells.end());
   return cells;
@@ -71,7 +74,7 @@ std::vector<Box> disjoint(std::vector<Box> const& boxes) {
 }  // namespace
 
 /// Sorted.
-MetalCells Metal::found(std::vector<Box> const& boxes, Real3 const& spacing) const {
+MetalCells const& Metal::found(std::vector<Box> const& boxes, Real3 const& spacing) const {
   for (Known const& known : known_) {
     if (known.spacing != spacing) continue;
     auto const is_known = [&](Box const& box) { return without({box}, known.boxes).empty(); };
@@ -95,11 +98,12 @@ void Metal::add_thin(Level const& level, std::vector<Box> const& regions, std::v
                      MetalCells& cells) const {
   std::vector<CutCell> out = cells.cut();
   for (Box const& region : regions) {
+    constexpr Real in_metal = -1;
     std::vector<Real> hold(std::size_t(region.cells()), 0.0);
+    for (SolidCell const& solid : cells.solid())
+      if (region.contains(solid.cell)) hold[std::size_t(region.offset(solid.cell))] = in_metal;
     for (std::size_t n = 0; n < finer.size(); ++n)
       add_holds(level, *finer[n], n + 1 < finer.size() ? finer[n + 1] : nullptr, region, hold);
-    for (SolidCell const& solid : cells.solid())
-      if (region.contains(solid.cell)) hold[std::size_t(region.offset(solid.cell))] = 0;
     for (std::size_t n = 0; n < cells.cut().size(); ++n) {
       if (!region.contains(out[n].cell)) continue;
       Real& h = hold[std::size_t(region.offset(out[n].cell))];
@@ -114,7 +118,8 @@ void Metal::add_thin(Level const& level, std::vector<Box> const& regions, std::v
   cells = {std::move(out), cells.solid()};
 }
 
-/// Those of the cells of a finer level that `next` does not cover.
+/// Those of the cells of a finer level that `next` does not cover, to cells of which it is not negative: the others are
+/// in metal.
 void Metal::add_holds(Level const& level, Level const& finer, Level const* next, Box const& region,
                       std::vector<Real>& hold) const {
   Index3 ratio;
@@ -131,15 +136,17 @@ void Metal::add_holds(Level const& level, Level const& finer, Level const* next,
                          [&](int, Box const& part, Index3 const&) { parts.push_back(part); });
   parts = disjoint(parts);
   if (children == 1 || parts.empty()) return;
-  MetalCells const metal = found(parts, finer.spacing());
+  MetalCells const& metal = found(parts, finer.spacing());
   auto const add = [&](Index3 const& child, Real share) {
     Index3 const cell{child[0] / ratio[0], child[1] / ratio[1], child[2] / ratio[2]};
-    if (!region.contains(cell) || finer.find(child) < 0 || (next && next->find(first_child_of(child)) >= 0)) return;
-    hold[std::size_t(region.offset(cell))] += share / (children * coarse);
+    if (!region.contains(cell)) return;
+    Real& of_cell = hold[std::size_t(region.offset(cell))];
+    if (of_cell < 0 || finer.find(child) < 0 || (next && next->find(first_child_of(child)) >= 0)) return;
+    of_cell += share / (children * coarse);
   };
-  for (CutCell const& cut : without_metal_behind_walls(metal.cut(), finer.domain(), finer.periodic()))
+  for (CutCell const& cut : metal.cut())
     for (std::size_t n = 0; n < 6; ++n)
-      if (cut.is_cut(n)) add(cut.cell, weight[int(n) / 2]);
+      if (cut.is_cut(n) && !is_behind_wall(cut, n, finer)) add(cut.cell, weight[int(n) / 2]);
   for (SolidCell const& solid : metal.solid()) add(solid.cell, 2 * (weight[0] + weight[1] + weight[2]));
 }
 
@@ -150,8 +157,8 @@ MetalCells Metal::cells(Level const& level, std::vector<Box> const& boxes,
     for (Box const& piece : within_domain(level, box)) regions.push_back(piece);
   regions = disjoint(regions);
   if (regions.empty()) return {};
-  MetalCells const all = found(regions, level.spacing());
-  MetalCells out{without_metal_behind_walls(all.cut(), level.domain(), level.periodic()), all.solid()};
+  MetalCells const& all = found(regions, level.spacing());
+  MetalCells out{without_metal_behind_walls(all.cut(), level), all.solid()};
   if (!finer.empty()) add_thin(level, regions, finer, out);
   return out;
 }

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <array>
 #include <functional>
+#include <list>
 #include <memory>
 #include <utility>
 #include <vector>
@@ -113,7 +114,7 @@ class Metal {
   void forget() const { known_.clear(); }
 
  private:
-  MetalCells found(std::vector<Box> const& boxes, Real3 const& spacing) const;
+  MetalCells const& found(std::vector<Box> const& boxes, Real3 const& spacing) const;
   void add_thin(Level const& level, std::vector<Box> const& regions, std::vector<Level const*> const& finer,
                 MetalCells& cells) const;
   void add_holds(Level const& level, Level const& finer, Level const* next, Box const& region,
@@ -126,7 +127,7 @@ class Metal {
     std::vector<Box> boxes;
     MetalCells cells;
   };
-  mutable std::vector<Known> known_;
+  mutable std::list<Known> known_;  // they stay where they are
 };
 
 }  // namespace amrpic

@@ -15,6 +15,8 @@ constexpr double four_pi = 12.566370614359172954;
 constexpr double lattice_negligible = 64;  ///< cells from a charge where its lattice adds 6e-5 of its potential
 constexpr unsigned all_points = all_lanes;
 constexpr int lowest_order = 2;
+/// Of lists of what is near to patches, which are worked off when they are so long: images may be thousands.
+constexpr std::size_t most_bytes_near = std::size_t(4) << 20;
 /// Up to where the charges of a node of level 0 are summed one by one, in units of the smallest spacing, from its
 /// centre.
 double near_distance(Point const& shape, Options const& options) {
@@ -129,6 +131,18 @@ void add_cells(OfCells const& cells, Point const& centre, Rows const& rows, Poin
 
 void add_lanes(Lanes const& value, double* to) {
   for (int t = 0; t < lane_count; ++t) to[t] += value[t];
+}
+
+/// What a closed form makes at the points of a patch.
+void add_closing(Closing const& closing, PatchPoints const& points, double* values) {
+  auto const axes = plane_axes(points.normal);
+  for (int n = 0; n < patch_values; ++n) {
+    Point place;
+    place[points.normal] = points.place;
+    for (int t = 0; t < 2; ++t)
+      place[axes[t]] = points.along[std::size_t(t)][std::size_t(t == 0 ? n % patch_points : n / patch_points)];
+    values[n] += closing.at(place);
+  }
 }
 
 }  // namespace
@@ -511,16 +525,35 @@ std::map<int, PointMasks> TreePotential::add_mixed(Octree const& tree, std::vect
 std::vector<double> TreePotential::at(Charges const& charges, Closing const& closing,
                                       std::vector<GhostPatch> const& patches, std::vector<char> const& is_own) const {
   Octree const& tree = charges.tree;
+  auto const across = axes_of_rows(shape_);
   std::vector<double> out(patches.size() * patch_values, 0.0);
   struct NearNodes {
     std::size_t patch;
     Image image;
     std::vector<std::pair<int, PointMasks>> nodes;
+    std::size_t bytes() const { return sizeof(*this) + nodes.size() * sizeof(nodes.front()); }
   };
   std::vector<NearNodes> near;  // not the maps themselves, which take five times their memory
+  std::size_t bytes_near = 0;
   std::array<double, patch_values> values;
   auto const add = [&](std::size_t p, int sign) {
     for (int n = 0; n < patch_values; ++n) out[p * patch_values + std::size_t(n)] += sign * values[std::size_t(n)];
+  };
+  auto const sum_near = [&] {
+    std::vector<int> nodes;
+    for (NearNodes const& group : near)
+      for (auto const& [node, points] : group.nodes) nodes.push_back(node);
+    LeafCharges const leaves(tree, charges.own, charges.received, std::move(nodes), across);
+    ChargesOfNodes of_nodes(tree, leaves, across);
+    for (NearNodes const& group : near) {
+      NearPatch patch(*this, patches[group.patch], group.image);
+      values.fill(0);
+      for (auto const& [node, points] : group.nodes)
+        patch.add(node, tree.nodes[std::size_t(node)], points, of_nodes, values.data());
+      add(group.patch, group.image.sign);
+    }
+    near.clear();
+    bytes_near = 0;
   };
   for_each_patch(tree, patches, is_own, [&](std::size_t p, std::vector<Interactions> const& interactions) {
     for (auto const& [image, far, mixed] : interactions) {
@@ -528,36 +561,18 @@ std::vector<double> TreePotential::at(Charges const& charges, Closing const& clo
       values.fill(0);
       add_far(tree, far, points, patches[p].level, values.data());
       auto const nodes = add_mixed(tree, mixed, points, patches[p].level, values.data());
-      if (!nodes.empty()) near.push_back({p, image, {nodes.begin(), nodes.end()}});
+      if (!nodes.empty()) bytes_near += near.emplace_back(NearNodes{p, image, {nodes.begin(), nodes.end()}}).bytes();
       add(p, image.sign);
     }
-  });
-  for (std::size_t p = 0; p < patches.size(); ++p) {
-    if (!is_own[p] || patches[p].parent >= 0 || closing.is_empty()) continue;
-    PatchPoints const points(lattice_, patches[p]);
-    auto const axes = plane_axes(points.normal);
-    for (int n = 0; n < patch_values; ++n) {
-      Point place;
-      place[points.normal] = points.place;
-      for (int t = 0; t < 2; ++t)
-        place[axes[t]] = points.along[std::size_t(t)][std::size_t(t == 0 ? n % patch_points : n / patch_points)];
-      values[std::size_t(n)] = closing.at(place);
+    if (patches[p].parent < 0 && !closing.is_empty()) {
+      values.fill(0);
+      add_closing(closing, PatchPoints(lattice_, patches[p]), values.data());
+      add(p, 1);
     }
-    add(p, 1);
-  }
-  std::vector<int> nodes;
-  for (NearNodes const& group : near)
-    for (auto const& [node, points] : group.nodes) nodes.push_back(node);
-  auto const across = axes_of_rows(shape_);
-  LeafCharges const leaves(tree, charges.own, charges.received, std::move(nodes), across);
-  ChargesOfNodes of_nodes(tree, leaves, across);
-  for (NearNodes const& group : near) {
-    NearPatch patch(*this, patches[group.patch], group.image);
-    values.fill(0);
-    for (auto const& [node, points] : group.nodes)
-      patch.add(node, tree.nodes[std::size_t(node)], points, of_nodes, values.data());
-    add(group.patch, group.image.sign);
-  }
+    // All of a patch at a time, in an order that does not depend on what other patches the rank has.
+    if (bytes_near > most_bytes_near) sum_near();
+  });
+  sum_near();
   kernels_.trim();
   return out;
 }

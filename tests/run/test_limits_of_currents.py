@@ -111,12 +111,10 @@ def test_the_exact_solution_has_known_currents():
 @pytest.mark.long
 @pytest.mark.parametrize("supply", [0.8, 1.0, 1.1, 1.3, 1.8])
 def test_from_the_limit_of_temperature_to_that_of_space_charge(supply):
-    """The knee of Longo and Vaughan: sharp for an even surface, by Langmuir's exact solution with an exponent above 10."""
+    """The knee of Longo and Vaughan, by Langmuir's exact solution; at the knee, 1.114, charge settles in ten times of flight."""
     share = 2e-3
-    found, _ = current(diode(VOLTAGE, 32, hot(VOLTAGE, share, supply), 4.0))
-    part, limit = found / child(VOLTAGE), langmuir(share, 50.0)
-    assert part == pytest.approx(langmuir(share, supply), rel=0.01)
-    assert part > (supply**-10 + limit**-10) ** -0.1 * 0.99
+    found, _ = current(diode(VOLTAGE, 32, hot(VOLTAGE, share, supply), 16.0))
+    assert found / child(VOLTAGE) == pytest.approx(langmuir(share, supply), rel=0.01)
 
 
 @pytest.mark.parametrize(("cells", "steps"), [(8, 12), (8, 24), pytest.param(16, 12, marks=pytest.mark.long)])

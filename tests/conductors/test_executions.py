@@ -100,8 +100,9 @@ def test_residual_potential_charges_and_cycles_are_those_of_the_matrix_free_back
     size = max(abs(level).max() for level in values(phi))
     for ours, theirs in zip(values(phi), values(other), strict=True):
         assert theirs == pytest.approx(ours, abs=(1e-11 if "flux" in name else 1e-12) * size)  # of residuals of 1e-13
+    cycles, others = (int(np.argmax(np.array(of.residuals) < 1e-10)) for of in (report, said))
     # the bottoms take open faces differently
-    assert abs(said.cycles - report.cycles) <= (backend == "crs" and case.boundary == "open")
+    assert abs(others - cycles) <= (backend == "crs" and case.boundary == "open")
     largest = max(map(abs, report.charges.values()))
     assert list(said.charges.values()) == pytest.approx(list(report.charges.values()), abs=1e-11 * largest)
 

@@ -111,7 +111,7 @@ def test_the_exact_solution_has_known_currents():
 @pytest.mark.long
 @pytest.mark.parametrize("supply", [0.8, 1.0, 1.1, 1.3, 1.8])
 def test_from_the_limit_of_temperature_to_that_of_space_charge(supply):
-    """The knee of Longo and Vaughan, by Langmuir's exact solution; at the knee, 1.114, charge settles in ten times of flight."""
+    """The knee of Longo and Vaughan, by Langmuir's exact solution; at it, 1.114, charge settles in ten times of flight."""
     share = 2e-3
     found, _ = current(diode(VOLTAGE, 32, hot(VOLTAGE, share, supply), 16.0))
     assert found / child(VOLTAGE) == pytest.approx(langmuir(share, supply), rel=0.01)

@@ -223,12 +223,16 @@ def _of_charge(beam: MeshedParticles, solution: Solution | None, setup: Setup) -
 
 def _of_elements(setup: Setup, fast: Fastest, away: list[float]) -> Iterator[Process]:
     """Yield what happens in elements so far away, m: nothing, but that the field of a thin coil changes over the distance."""
-    elements = setup.external.elements
-    strengths = from_rank_0(setup.comm, lambda: [strength(element) for element in elements], InputError)  # reads maps
-    for number, (element, of, far) in enumerate(zip(elements, strengths, away, strict=True)):
+    of_all = zip(setup.external.elements, _strengths(setup), away, strict=True)
+    for number, (element, of, far) in enumerate(of_all):
         if far == 0 or (isinstance(element, SolenoidElement) and element.radius is not None):
             near = replace(of, length=max(of.length, far))
             yield from _processes_in(near, element.name or f"elements.{number}", fast)
+
+
+def _strengths(setup: Setup) -> list[Strength]:
+    """Return how strong the elements are, of which rank 0 reads the maps. Collective; InputError on all ranks."""
+    return from_rank_0(setup.comm, lambda: [strength(element) for element in setup.external.elements], InputError)
 
 
 def _away(setup: Setup, particles: Particles, course: Course, ahead: float) -> list[float]:
@@ -251,8 +255,7 @@ def _of_sources(solution: Solution, setup: Setup, time: float) -> Iterator[Proce
     """Yield what particles do that are not born yet: pass a cell after a fall through all of the potential, and fly from rest
     through the first cell; and the pulse that they come in. Collective."""
     drop = solution.potential.max() - solution.potential.min()
-    elements = from_rank_0(setup.comm, lambda: [strength(element) for element in setup.external.elements], InputError)
-    drop += sum(of.electric * of.length for of in elements if math.isfinite(of.length))
+    drop += sum(of.electric * of.length for of in _strengths(setup) if math.isfinite(of.length))
     spacing, levels = setup.scene.domain.value.spacing, setup.scene.refinement.levels
     for emitter, name in zip(setup.emitters, setup.scene.source_names, strict=True):
         if emitter.stop_time <= time:

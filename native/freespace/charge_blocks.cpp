@@ -197,6 +197,19 @@ void copy_charges(ChargeBox const& box, Cell const& first, Cell const& last, dou
       to = std::copy_n(block.data() + place_in_block({first[0], j, k}), last[0] - first[0] + 1, to);
 }
 
+void copy_charges(ChargeBox const& box, double* to) {
+  std::ptrdiff_t const nx = box.upper[0] - box.lower[0] + 1, ny = box.upper[1] - box.lower[1] + 1;
+  for_each_part(box, [&](BlockPart const& part) {
+    BlockCharges block{};
+    fill(part, block);
+    auto const [first, last] = std::tie(part.first, part.last);
+    for (int k = first[2]; k <= last[2]; ++k)
+      for (int j = first[1]; j <= last[1]; ++j)
+        std::copy_n(block.data() + place_in_block({first[0], j, k}), last[0] - first[0] + 1,
+                    to + (first[0] - box.lower[0] + nx * (j - box.lower[1] + ny * (k - box.lower[2]))));
+  });
+}
+
 void ChargeBlocks::clear() {
   leaves_.clear();
   place_.clear();

@@ -55,6 +55,9 @@ struct ChargeBox {
 /// Write the charges of the cells `first` .. `last` of a box, which lie in one block, x fastest.
 void copy_charges(ChargeBox const& box, Cell const& first, Cell const& last, double* to);
 
+/// Those of all its cells.
+void copy_charges(ChargeBox const& box, double* to);
+
 /// A block with charge.
 struct Leaf {
   BlockKey key;

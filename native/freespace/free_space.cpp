@@ -7,6 +7,7 @@
 #include <set>
 
 #include "base/error.hpp"
+#include "freespace/heat_sums.hpp"
 
 namespace amrpic::freespace {
 
@@ -51,6 +52,13 @@ std::optional<ChargeBox::CellRange> unseen_cells(WallMesh const& mesh, int level
   return out;
 }
 
+/// Of the magnitudes of all charge.
+void check_finite(double total) {
+  if (!std::isfinite(total))
+    throw SolverError(
+        "the charge is not finite, or so large that its potential is not; look for the step that made it");
+}
+
 }  // namespace
 
 FreeSpace::FreeSpace(Communicator const& comm, Lattice const& lattice, bool has_images, Options const& options)
@@ -65,6 +73,11 @@ std::shared_ptr<WallPlan const> FreeSpace::plan(WallMesh const& mesh) const {
 }
 
 std::vector<double> FreeSpace::walls(WallPlan const& plan, std::vector<ChargeBox> const& local, Which which) {
+  if (plan.geometry().by_axes) {
+    auto values = sums_by_axes(plan, options_, all_charges(plan, local), which);
+    for (double& value : values) value /= lattice_.unit();
+    return values;
+  }
   ChargeBlocks const blocks = own_charges(plan, local);
   OctreeBuilder builder = leaves_of(plan, blocks);
   join_upwards(plan, builder);
@@ -82,6 +95,23 @@ std::vector<double> FreeSpace::walls(WallPlan const& plan, std::vector<ChargeBox
   }
   interpolate_down(plan, values);
   return at_own_walls(plan, values);
+}
+
+/// Of all cells of all levels, in the order of their boxes.
+std::vector<double> FreeSpace::all_charges(WallPlan const& plan, std::vector<ChargeBox> const& local) const {
+  auto const& levels = plan.geometry().mesh.levels;
+  std::vector<GlobalIndex> first{0};
+  for (auto const& level : levels) first.push_back(first.back() + level->cells());
+  std::vector<double> out(std::size_t(first.back()), 0.0);
+  auto box = local.begin();
+  for (std::size_t l = 0; l < levels.size(); ++l)
+    for (int b = levels[l]->first_box(plan.rank()); b < levels[l]->first_box(plan.rank() + 1); ++b)
+      copy_charges(*box++, out.data() + first[l] + levels[l]->box_offset(b));
+  comm_.sum_each(out);
+  double total = 0;
+  for (double charge : out) total += std::abs(charge);
+  check_finite(total);
+  return out;
 }
 
 /// The blocks of this rank, with what other ranks hold of them.
@@ -126,9 +156,7 @@ OctreeBuilder FreeSpace::leaves_of(WallPlan const& plan, ChargeBlocks const& blo
   comm_.sum_each(sums);
   double total = 0;
   for (int n = 0; n < octaves; ++n) total += sums[std::size_t(n)];
-  if (!std::isfinite(total))
-    throw SolverError(
-        "the charge is not finite, or so large that its potential is not; look for the step that made it");
+  check_finite(total);
   int weakest = 0;
   for (double sum = 0; weakest < octaves && (sum += sums[std::size_t(weakest)]) < options_.dropped * total;) ++weakest;
   int finest = 0;

@@ -14,7 +14,8 @@ namespace amrpic::freespace {
 /// Potential phi of -Laplace phi = charge density on the infinite lattice: about q / (4 pi r), with 0 at infinity.
 ///
 /// The charge of a mesh is joined to ever wider blocks up to a top that all ranks know. Each rank evaluates its share
-/// of the patches of ghosts with what it sees of the tree, whoever owns the walls.
+/// of the patches of ghosts with what it sees of the tree, whoever owns the walls. Where the plan is `by_axes`, each
+/// rank sums over all charge for its own walls.
 class FreeSpace {
  public:
   FreeSpace(Communicator const& comm, Lattice const& lattice, bool has_images, Options const& options = {});
@@ -35,6 +36,7 @@ class FreeSpace {
   std::vector<double> walls(WallPlan const& plan, std::vector<ChargeBox> const& local, Which which = Which::all);
 
  private:
+  std::vector<double> all_charges(WallPlan const& plan, std::vector<ChargeBox> const& local) const;
   ChargeBlocks own_charges(WallPlan const& plan, std::vector<ChargeBox> local) const;
   OctreeBuilder leaves_of(WallPlan const& plan, ChargeBlocks const& blocks);
   void join_upwards(WallPlan const& plan, OctreeBuilder& builder) const;

@@ -87,11 +87,20 @@ bool Images::are_none() const {
                      [](AxisImages const& a) { return a.copies.size() == 1 && a.period == 0; });
 }
 
+std::vector<AxisImages::Copy> Images::copies_along(int d, Which which) const {
+  auto out = axes_[std::size_t(d)].copies;
+  auto const is_other = [&](AxisImages::Copy const& copy) { return copy.reflects != (which == Which::against); };
+  if (which != Which::all && d == across_) out.erase(std::remove_if(out.begin(), out.end(), is_other), out.end());
+  return out;
+}
+
 std::vector<std::vector<Image>> Images::copies(Which which) const {
   std::vector<std::vector<Image>> out;
+  std::array<std::vector<AxisImages::Copy>, 3> const along{copies_along(0, which), copies_along(1, which),
+                                                           copies_along(2, which)};
   std::array<std::size_t, 3> n{};
   auto const for_each = [&](bool of_lattices, auto&& f) {
-    auto const count = [&](std::size_t d) { return (axes_[d].period > 0) == of_lattices ? axes_[d].copies.size() : 1; };
+    auto const count = [&](std::size_t d) { return (axes_[d].period > 0) == of_lattices ? along[d].size() : 1; };
     auto const all = [&](std::size_t d, auto const& next) {
       for (std::size_t i = 0; i < count(d); ++i) {
         if ((axes_[d].period > 0) == of_lattices) n[d] = i;
@@ -105,8 +114,7 @@ std::vector<std::vector<Image>> Images::copies(Which which) const {
     for_each(true, [&] {
       Image image;
       for (std::size_t d = 0; d < 3; ++d) {
-        auto const& copy = axes_[d].copies[n[d]];
-        if (which != Which::all && int(d) == across_ && copy.reflects != (which == Which::against)) return;
+        auto const& copy = along[d][n[d]];
         image.reflects[d] = copy.reflects;
         image.shift[d] = copy.shift;
         image.sign *= copy.sign;
@@ -115,6 +123,15 @@ std::vector<std::vector<Image>> Images::copies(Which which) const {
     });
     if (!together.empty()) out.push_back(std::move(together));
   });
+  return out;
+}
+
+double Images::copies_within(double distance) const {
+  double out = 1;
+  for (int d = 0; d < 3; ++d) {
+    AxisImages const& axis = axes_[std::size_t(d)];
+    if (axis.period > 0) out *= double(axis.copies.size()) * (1 + 2 * distance / (axis.period * shape_[d]));
+  }
   return out;
 }
 

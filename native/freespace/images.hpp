@@ -44,8 +44,12 @@ class Images {
   /// Whether there are none.
   bool are_none() const;
   AxisImages const& axis(int d) const { return axes_[std::size_t(d)]; }
+  /// The copies within a period of an axis.
+  std::vector<AxisImages::Copy> copies_along(int d, Which which) const;
   /// The maps within a period of each axis, those together that differ on lattice axes alone.
   std::vector<std::vector<Image>> copies(Which which) const;
+  /// About how many of the copies along lattices lie within a distance, in units of the smallest spacing.
+  double copies_within(double distance) const;
   /// The longest period, and 0 without any; in units of the smallest spacing.
   double longest_period() const;
   /// How often a block of copies doubles along an axis, `fewest` times where the mesh is nowhere wider than that; 0

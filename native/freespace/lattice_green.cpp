@@ -14,6 +14,7 @@ constexpr int panel_nodes = 12;
 struct Node {
   double place, weight;
 };
+constexpr double vanished = 40;  ///< exponents of waves that no longer count
 
 /// Gauss-Legendre nodes on [0, 1]; the roots by Newton's method.
 std::array<Node, panel_nodes> gauss_legendre() {
@@ -35,31 +36,6 @@ std::array<Node, panel_nodes> gauss_legendre() {
   return out;
 }
 
-/// Nodes in t for the integral from 0 to infinity of a product of three heat kernels.
-/// Panels double in length up to a time when the kernels have spread far past the reach; the tail is smooth in 1 /
-/// sqrt(t).
-/// `reach`: in cells.
-std::vector<Node> time_nodes(std::array<double, 3> const& spacing, std::array<int, 3> const& reach) {
-  double smallest = spacing[0], largest = spacing[0], extent = 0;
-  for (int d = 0; d < 3; ++d) {
-    smallest = std::min(smallest, spacing[d]);
-    largest = std::max(largest, spacing[d]);
-    extent = std::max(extent, (reach[d] + 1) * spacing[d]);
-  }
-  auto const panel = gauss_legendre();
-  std::vector<Node> out;
-  double start = 0, length = 0.25 * smallest * smallest;
-  double const enough = 4 * extent * extent + 64 * largest * largest;
-  for (; start < enough; start += length, length = start)
-    for (Node const& n : panel) out.push_back({start + length * n.place, length * n.weight});
-  double const last = 1 / std::sqrt(start);
-  for (Node const& n : panel) {
-    double const u = last * n.place;
-    out.push_back({1 / (u * u), last * n.weight * 2 / (u * u * u)});
-  }
-  return out;
-}
-
 /// Large-argument expansion; each term is smaller than the one before by about (4 n^2) / (8 x).
 double bessel_far(double x, int n) {
   double const mu = 4.0 * n * n;
@@ -73,6 +49,20 @@ double bessel_far(double x, int n) {
 }
 
 }  // namespace
+
+std::vector<TimeNode> time_nodes(double shortest, double late) {
+  auto const panel = gauss_legendre();
+  std::vector<TimeNode> out;
+  double start = 0, length = 0.25 * shortest * shortest;
+  for (; start < late; start += length, length = start)
+    for (Node const& n : panel) out.push_back({start + length * n.place, length * n.weight});
+  double const last = 1 / std::sqrt(start);
+  for (Node const& n : panel) {
+    double const u = last * n.place;
+    out.push_back({1 / (u * u), last * n.weight * 2 / (u * u * u)});
+  }
+  return out;
+}
 
 std::vector<double> scaled_bessel(double x, int last) {
   std::vector<double> out(std::size_t(last) + 1);
@@ -103,7 +93,6 @@ std::vector<double> scaled_bessel(double x, int last) {
 std::vector<double> fourth_order_heat(double t, int last) {
   int const points = last + 40 + int(10 * std::sqrt(t));  // from 0 to pi
   std::vector<double> out(std::size_t(last) + 1, 0.0);
-  constexpr double vanished = 40;  // exponents
   for (int m = 0; m <= points; ++m) {
     double const k = pi * m / points, s = 2 - 2 * std::cos(k), exponent = t * s * (1 + s / 12);
     if (exponent > vanished) break;
@@ -119,17 +108,45 @@ std::vector<double> fourth_order_heat(double t, int last) {
   return out;
 }
 
+std::vector<double> line_heat(double t, int last, int operator_order) {
+  return operator_order == 4 ? fourth_order_heat(t, last) : scaled_bessel(2 * t, last);
+}
+
+// That of a line while it has not gone half way round; then a sum over waves, of which few are left.
+std::vector<double> ring_heat(double t, int cells, int operator_order, bool has_mean) {
+  std::vector<double> out(std::size_t(cells), 0.0);
+  if (13 * std::sqrt(t) + 40 < cells / 2) {
+    auto const line = line_heat(t, cells / 2, operator_order);
+    for (int n = 0; n < cells; ++n) out[std::size_t(n)] = line[std::size_t(std::min(n, cells - n))];
+    return out;
+  }
+  std::vector<double> cosine;
+  for (int n = 0; n < cells; ++n) cosine.push_back(std::cos(2 * pi * n / cells));
+  for (int m = has_mean ? 0 : 1; 2 * m <= cells; ++m) {
+    double const s = 2 - 2 * cosine[std::size_t(m)];
+    double const exponent = t * s * (operator_order == 4 ? 1 + s / 12 : 1);
+    if (exponent > vanished) break;
+    double const weight = (m == 0 || 2 * m == cells ? 1 : 2) * std::exp(-exponent) / cells;
+    for (int n = 0, turn = 0; n < cells; ++n, turn = (turn + m) % cells)
+      out[std::size_t(n)] += weight * cosine[std::size_t(turn)];
+  }
+  return out;
+}
+
 std::vector<double> lattice_green_octant(std::array<double, 3> const& spacing, std::array<int, 3> const& reach,
                                          std::array<int, 3> const& stride, int operator_order) {
   std::ptrdiff_t const nx = reach[0] + 1, ny = reach[1] + 1, nz = reach[2] + 1;
   std::vector<double> out(std::size_t(nx * ny * nz), 0.0);
   double const volume = spacing[0] * spacing[1] * spacing[2];
-  for (Node const& node : time_nodes(spacing, {reach[0] * stride[0], reach[1] * stride[1], reach[2] * stride[2]})) {
+  double const smallest = std::min({spacing[0], spacing[1], spacing[2]});
+  double const largest = std::max({spacing[0], spacing[1], spacing[2]});
+  double extent = 0;
+  for (int d = 0; d < 3; ++d) extent = std::max(extent, (reach[d] * stride[d] + 1) * spacing[d]);
+  // Then the kernels have spread far past the reach.
+  for (TimeNode const& node : time_nodes(smallest, 4 * extent * extent + 64 * largest * largest)) {
     std::array<std::vector<double>, 3> kernel;
     for (int d = 0; d < 3; ++d) {
-      double const t = node.place / (spacing[d] * spacing[d]);
-      int const last = reach[d] * stride[d];
-      kernel[d] = operator_order == 4 ? fourth_order_heat(t, last) : scaled_bessel(2 * t, last);
+      kernel[d] = line_heat(node.time / (spacing[d] * spacing[d]), reach[d] * stride[d], operator_order);
       for (int n = 0; n <= reach[d]; ++n) kernel[d][n] = kernel[d][n * stride[d]];
     }
     for (std::ptrdiff_t k = 0; k < nz; ++k)

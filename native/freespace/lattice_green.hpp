@@ -15,11 +15,25 @@
 
 namespace amrpic::freespace {
 
+struct TimeNode {
+  double time, weight;
+};
+
+/// For integrals over all times of products of three heat kernels: intervals that double in length from `shortest`
+/// squared over four, and after `late` a tail that is smooth in 1 / sqrt(t). Ascending but for the tail.
+std::vector<TimeNode> time_nodes(double shortest, double late);
+
 /// exp(-x) I_n(x) for n = 0 .. last; x > 0.
 std::vector<double> scaled_bessel(double x, int last);
 
 /// The heat kernel of the operator of fourth order along one axis, for n = 0 .. last; t > 0.
 std::vector<double> fourth_order_heat(double t, int last);
+
+/// The heat kernel of the operator of that order along one axis, for n = 0 .. last.
+std::vector<double> line_heat(double t, int last, int operator_order);
+
+/// The same on a ring of cells, for n = 0 .. cells - 1; without its mean, 1 / cells, where that cancels between images.
+std::vector<double> ring_heat(double t, int cells, int operator_order, bool has_mean);
 
 /// G / volume at every `stride`-th point, 0 <= i, j, k <= reach, i fastest, of the operator of that order, 2 or 4.
 /// Accurate to rounding; lengths of about one are expected.

@@ -41,6 +41,23 @@ inline InterpolationStencil stencil_at(double place, double curvature) {
   return out;
 }
 
+/// Where the cells of one level lie along an axis, among the lattice points of another one: at `point` + shift.
+struct LatticePlace {
+  int point;
+  double shift;
+};
+
+inline LatticePlace place_in_level(int cell, int cell_level, int level) {
+  double const x = std::ldexp(cell + 0.5, level - cell_level) - 0.5, floor = std::floor(x);
+  return {int(floor), x - floor};
+}
+
+/// What of the second derivative leads from means over cells of the charges' level, or over two of them, to those over
+/// ghosts of another level.
+inline double between_means(int level, int ghost_level, bool half) {
+  return (std::ldexp(1.0, 2 * (level - ghost_level)) - (half ? 4 : 1)) / 24;
+}
+
 /// Around a place, from given nodes.
 inline InterpolationStencil stencil_of(Nodes const& nodes, double place) {
   auto const weights = lagrange_weights(nodes, place);

@@ -48,17 +48,6 @@ Cell table_reach(Lattice const& lattice, int finest, bool has_images, Options co
   return out;
 }
 
-/// Where the cells of one level lie along an axis, among the lattice points of another one: at `point` + shift.
-struct LatticePlace {
-  int point;
-  double shift;
-};
-
-LatticePlace place_in_level(int cell, int cell_level, int level) {
-  double const x = std::ldexp(cell + 0.5, level - cell_level) - 0.5, floor = std::floor(x);
-  return {int(floor), x - floor};
-}
-
 /// Distance along an axis, as far as it smooths the potential: across the first layers of long cells the lattice
 /// smooths as if they were short, since short waves fade by 1 / (k h)^2 per layer there, not by exp(-k h). `aspect`: of
 /// a cell.
@@ -226,15 +215,11 @@ class TreePotential::NearPatch {
   InterpolationStencil stencil(int axis, int cell, int level, PointsApart const& points) const {
     LatticePlace const place = place_in_level(cell, patch_.level, level);
     bool const half = level > patch_.level && points.stride[axis] == 1;  // the table is
-    return stencil_at(points.place(axis, place.point + (half ? 0 : place.shift)),
-                      potential_.options_.operator_order == 4 ? between_means(level, half) / stride2(points, axis) : 0);
+    return stencil_at(
+        points.place(axis, place.point + (half ? 0 : place.shift)),
+        potential_.options_.operator_order == 4 ? between_means(level, patch_.level, half) / stride2(points, axis) : 0);
   }
 
-  /// What of the second derivative leads from means over cells of the charges' level, or over two of them, to those
-  /// over the ghosts.
-  double between_means(int level, bool half) const {
-    return (std::ldexp(1.0, 2 * (level - patch_.level)) - (half ? 4 : 1)) / 24;
-  }
   static double stride2(PointsApart const& points, int axis) {
     return double(points.stride[axis]) * points.stride[axis];
   }

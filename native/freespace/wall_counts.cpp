@@ -127,6 +127,12 @@ WallCounts count(WallPlan const& plan, Options const& options, std::vector<Charg
   BlockGrids const& grids = geometry.grids;
   FullBlocks const full(geometry, charged);
   WallCounts out;
+  if (geometry.by_axes) {
+    std::int64_t cells = 0;
+    for (auto const& level : geometry.mesh.levels) cells += level->cells();
+    if (geometry.mesh.ranks() > 1) out.collectives = {std::int64_t(sizeof(double)) * cells};
+    return out;
+  }
   out.patches = std::count(plan.is_own.begin(), plan.is_own.end(), char(1));
 
   std::vector<Parcel> parts_out, parts_in;

@@ -6,15 +6,28 @@
 #include <tuple>
 
 #include "freespace/octree.hpp"
+#include "freespace/tree_potential.hpp"
 
 namespace amrpic::freespace {
 
 namespace {
 
+constexpr double most_images = 64;                                           ///< near, that the tree serves
+constexpr GlobalIndex most_cells = GlobalIndex(1) << 22;                     ///< whose charge every rank may hold
 constexpr int most_known_blocks = (64 << 10) / sizeof(NodeRecord::Content);  ///< of the top: one message of 64 KB
 
 Senders senders(std::set<int> const& to, std::set<int> const& from) {
   return {{to.begin(), to.end()}, {from.begin(), from.end()}};
+}
+
+bool are_summed_by_axes(WallMesh const& mesh, Options const& options) {
+  Point const shape = mesh.lattice.shape();
+  Cell const near = near_cells(mesh.lattice, options);
+  double distance = 0;
+  for (int d = 0; d < 3; ++d) distance = std::max(distance, near[d] * shape[d]);
+  GlobalIndex cells = 0;
+  for (auto const& level : mesh.levels) cells += level->cells();
+  return cells <= most_cells && mesh.images.copies_within(distance) > most_images;
 }
 
 bool in_order(LeafPart const& a, LeafPart const& b) {
@@ -31,7 +44,8 @@ WallGeometry::WallGeometry(WallMesh const& given, Options const& options)
       patches(mesh),
       sight(mesh, grids, patches, options),
       top(grids.with_at_most(most_known_blocks)),
-      fewest_sharing_ranks(options.fewest_sharing_ranks) {}
+      fewest_sharing_ranks(options.fewest_sharing_ranks),
+      by_axes(are_summed_by_axes(mesh, options)) {}
 
 int WallGeometry::home(Block const& block) const {
   Level const& level = mesh.level(grids[block.grid].level);
@@ -71,6 +85,8 @@ std::vector<Block> WallGeometry::shared_children(std::vector<Block> const& block
 
 WallPlan::WallPlan(std::shared_ptr<WallGeometry const> geometry, int rank)
     : geometry_(std::move(geometry)), rank_(rank) {
+  find_wall_blocks();
+  if (geometry_->by_axes) return;
   plan_parts();
   if (geometry_->mesh.ranks() > 1)
     for (int grid = 0; grid <= geometry_->top; ++grid) own_blocks_.push_back(own_blocks(grid));
@@ -307,6 +323,15 @@ Senders WallPlan::family_ranks_below(std::vector<Block> known, int below) const 
   return senders(to, from);
 }
 
+void WallPlan::find_wall_blocks() {
+  std::set<int> at_walls;
+  for_each_own_box([&](int l, Box const& box) {
+    for_each_ghost_block(geometry_->mesh, l, box,
+                         [&](GhostBlock const& block) { at_walls.insert(geometry_->patches.number(block)); });
+  });
+  wall_blocks.assign(at_walls.begin(), at_walls.end());
+}
+
 void WallPlan::plan_walls() {
   WallPatches const& all = geometry_->patches;
   struct Item {
@@ -326,11 +351,6 @@ void WallPlan::plan_walls() {
     for (int reader : readers)
       if (reader != rank_) out.push_back({reader, all.number(block), int(n)});
   }
-  std::set<int> at_walls;
-  for_each_own_box([&](int l, Box const& box) {
-    for_each_ghost_block(geometry_->mesh, l, box, [&](GhostBlock const& block) { at_walls.insert(all.number(block)); });
-  });
-  wall_blocks.assign(at_walls.begin(), at_walls.end());
   for (std::size_t n = 0; n < wall_blocks.size(); ++n) {
     int const owner = all.owner(wall_blocks[n]);
     if (owner == rank_)

@@ -52,6 +52,9 @@ struct WallGeometry {
   Sight sight;
   int top;                   ///< the grid that is known on all ranks
   int fewest_sharing_ranks;  ///< of the options
+  /// Whether the potential is summed axis by axis on every rank, from all charge, and not by the tree: where so many
+  /// images are near that the tree would take them one by one. See `heat_sums.hpp`.
+  bool by_axes;
 
   /// The rank of a block, or -1 if the mesh has no cells in it.
   int home(Block const& block) const;
@@ -111,6 +114,7 @@ class WallPlan {
   void plan_patches();
   void plan_gifts();
   void plan_sources();
+  void find_wall_blocks();
   void plan_walls();
 
   std::shared_ptr<WallGeometry const> geometry_;

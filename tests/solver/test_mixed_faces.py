@@ -11,7 +11,7 @@ from mpi4py import MPI
 from scipy.special import erf
 
 from amrpic import Domain, Field, Hierarchy, PoissonSolver
-from amrpic._native import OpenWallPlans
+from amrpic._native import FreeSpace, OpenWallPlans
 from exact.errors import errors, level_errors, observed_order
 from exact.lattice import FreeLattice
 from exact.sources import EPS0, fill
@@ -262,6 +262,39 @@ def test_ghosts_beside_narrow_gaps(mix):
         assert found["ghosts"] < 1.5e-4 and found["phi"] < 5e-5 and found["field"] < 1e-4, found
 
 
+# Long cells between so many images that these are summed axis by axis: (cells, spacing).
+MANY_IMAGES = {
+    "do,on,pp": ((3, 15, 3), (9.8, 98.0, 1.0)),
+    "pp,no,nd": ((25, 12, 2), (1.0, 99.8, 1.0)),
+    "dd,oo,nd": ((12, 9, 4), (40.2, 1.0, 1.0)),
+    "oo,nd,nd": ((9, 3, 5), (86.0, 1.0, 1.0)),
+    "oo,pp,nn": ((5, 4, 20), (30.0, 1.0, 5.0)),
+    "nn,oo,od": ((4, 12, 10), (1.0, 20.0, 50.0)),
+}
+
+
+@pytest.mark.parametrize("mix", MANY_IMAGES)
+def test_many_images_are_summed_to_nearly_all_digits(mix):
+    (cells, spacing), boundary = MANY_IMAGES[mix], faces(mix)
+    for charges in sources(cells):
+        exact = LatticeBetweenFaces(cells, spacing, boundary)(counted_at_ghosts(charges, boundary))
+        found = ghost_errors(walls(charges, spacing, boundary), exact, exact, spacing, boundary)
+        assert max(found.values()) < 1e-9, found
+
+
+@pytest.mark.parametrize("order", [2, 4])
+@pytest.mark.parametrize("mix", ["pp,oo,oo", "pp,nn,no", "dd,nd,do", "dn,od,oo"])
+def test_the_tree_and_sums_by_axes_agree_on_two_levels(mix, order):
+    """The more cells the lattice counts over, the more images are near."""
+    charges = noise((32, 32, 32))
+    rho = with_patch(charges, (0, 3, 9), (7, 11, 15), boundary=faces(mix))
+    tree, by_axes = (
+        FreeSpace(rho.hierarchy.native, order=order, lattice_limit=limit).walls(rho.native) for limit in (None, 1000)
+    )
+    for (_, _, some), (_, _, others) in zip(tree, by_axes, strict=True):
+        assert 0 < np.abs(some - others).max() < 1.5e-4 * np.abs(others).max()
+
+
 @pytest.mark.parametrize("mix", CONSTANTS)
 def test_images_of_a_charge_have_the_known_potential(mix):
     def of_mesh(n):
@@ -461,6 +494,19 @@ def test_ghosts_depend_neither_on_ranks_nor_on_boxes(comm, mix, shape):
     alone, together = (
         with_patch(charges, *patch, shape, of, boundary=faces(mix), max_grid_size=size)
         for of, size in ((MPI.COMM_SELF, 32), (comm, 8))
+    )
+    for level in (0, 1):
+        for plane, expected in zip(planes_of(together, level), planes_of(alone, level), strict=True):
+            assert np.array_equal(plane, expected, equal_nan=True)
+
+
+@pytest.mark.mpi(ranks=(1, 2, 3), more=(4,))
+def test_sums_by_axes_depend_neither_on_ranks_nor_on_boxes(comm):
+    """Not in a single bit."""
+    charges, boundary = noise((16,) * 3), faces("oo,no,pp")
+    alone, together = (
+        with_patch(charges, (0, 0, 3), (2, 7, 6), (1, 9, 70), of, boundary=boundary, max_grid_size=size)
+        for of, size in ((MPI.COMM_SELF, 32), (comm, 2))
     )
     for level in (0, 1):
         for plane, expected in zip(planes_of(together, level), planes_of(alone, level), strict=True):

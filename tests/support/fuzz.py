@@ -111,7 +111,7 @@ def cycles_taken(case: Case, outcome: Outcome) -> int:
     That is the least residual where the solver ended for its rounding; whether it ended too early, the potential tells.
     """
     spacing = case.edges / 2 ** len(case.levels)
-    floor = np.finfo(float).eps * np.sum(2 / spacing**2) * outcome.largest_phi / largest_source(case)
+    floor = np.finfo(float).eps * np.sum(2 / spacing**2) * outcome.largest_phi / (case.largest_source() or 1.0)
     if "rounding" in outcome.reason:
         floor = max(floor, min(outcome.residuals))
     return next((n for n, r in enumerate(outcome.residuals) if r <= max(TOLERANCE, 10 * floor)), outcome.cycles)
@@ -148,13 +148,9 @@ def allowed_difference(case: Case, plain: Outcome) -> float:
     if case.screening:
         bounds.append(1 / case.screening**2)
     solution = min(bounds) if bounds else float(np.sum(widths**2)) / 4
-    size = largest_source(case) + wall
+    size = case.largest_source() + wall
     rounding = 30 * np.finfo(float).eps * solution / float(finest.min()) ** 2
     return max(10 * TOLERANCE * plain.largest_phi, 4 * TOLERANCE * solution * size, rounding * plain.largest_phi)
-
-
-def largest_source(case: Case) -> float:
-    return 1e4 if "1e4" in case.source else 1.0
 
 
 def judge(case: Case, found: Outcome, plain: Outcome) -> tuple[list[Failure], float]:

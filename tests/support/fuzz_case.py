@@ -88,12 +88,27 @@ class Case:
             coarse = refined
         return min(faces, 3 * min(2, self.ranks) * uncovered)
 
+    def density(self, level: int, box: Box) -> np.ndarray:
+        """Charge density over ε₀ at the centres of the cells of a box of a level, (nx, ny, nz)."""
+        h = 1 / (np.array(self.cells) * 2**level)
+        lower, upper = np.array(box)
+        x, y, z = np.ix_(*((np.arange(a, b + 1) + 0.5) * d for a, b, d in zip(lower, upper, h, strict=True)))
+        values = eval(self.source, {"np": np, "x": x, "y": y, "z": z, "h": h})
+        return np.broadcast_to(values, upper - lower + 1)
+
+    @property
+    def base(self) -> Box:
+        nx, ny, nz = self.cells
+        return (0, 0, 0), (nx - 1, ny - 1, nz - 1)
+
     def charges(self) -> np.ndarray:
         """Charge over ε₀ in each cell of the base, (nx, ny, nz)."""
-        h = 1 / np.array(self.cells)
-        x, y, z = np.ix_(*((np.arange(n) + 0.5) / n for n in self.cells))
-        values = eval(self.source, {"np": np, "x": x, "y": y, "z": z, "h": h})
-        return np.broadcast_to(values, self.cells) * float(np.prod(self.spacing))
+        return self.density(0, self.base) * float(np.prod(self.spacing))
+
+    def largest_source(self) -> float:
+        """The largest density over ε₀ in a cell: a narrow bunch may lie between them."""
+        levels = enumerate([(self.base,), *self.levels])
+        return max(float(np.abs(self.density(level, box)).max()) for level, boxes in levels for box in boxes)
 
     def plain(self) -> Case:
         """The same problem on one rank, matrix-free, in boxes of the default size: the reference."""

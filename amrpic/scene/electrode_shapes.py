@@ -323,8 +323,6 @@ ShapeKind = Annotated[
     Field(discriminator="kind"),
 ]
 
-for model in (UnionShape, IntersectionShape, DifferenceShape):
-    model.model_rebuild()
 
 
 def anchor_files(part: Any, folder: Path) -> None:

@@ -325,5 +325,3 @@ def every_rule(rule: RuleKind, path: str = "rule") -> Iterator[tuple[str, RuleKi
             yield from every_rule(part, f"{path}.of.{number}")
 
 
-for model in (AnyRule, AllRule):
-    model.model_rebuild()

@@ -133,13 +133,18 @@ Reals Source::summed(int normal, Reals const& values) const {
   std::stable_sort(in_order.begin(), in_order.end(),
                    [&](Charged const& a, Charged const& b) { return a.box.lower[normal] < b.box.lower[normal]; });
   for (auto [box, charge] : in_order)
-    for_each_cell(box, [&, charge = charge](Index3 const& cell) mutable {
-      double const q = *charge++;
-      if (q == 0) return;
+    for_each_row(box, [&, charge = charge, count = box.extent(0)](Index3 const& cell) mutable {
       double* to = out.data();
       for (int d = 0; d < 3; ++d) to += step[std::size_t(d)] * (cell[d] - around.lower[d]);
-      auto const value = load<Lanes>(values.data() + lane_count * (cell[normal] - around.lower[normal]));
-      store(to, load<Lanes>(to) + q * value);
+      double const* value = values.data() + lane_count * (cell[normal] - around.lower[normal]);
+      if (normal == 0) {
+        auto sum = load<Lanes>(to);
+        for (int i = 0; i < count; ++i, value += lane_count) sum += *charge++ * load<Lanes>(value);
+        store(to, sum);
+      } else {
+        auto const weight = load<Lanes>(value);
+        for (int i = 0; i < count; ++i, to += lane_count) store(to, load<Lanes>(to) + *charge++ * weight);
+      }
     });
   return out;
 }

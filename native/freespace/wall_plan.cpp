@@ -12,22 +12,24 @@ namespace amrpic::freespace {
 
 namespace {
 
-constexpr double most_images = 64;                                           ///< near, that the tree serves
-constexpr GlobalIndex most_cells = GlobalIndex(1) << 22;                     ///< whose charge every rank may hold
+constexpr double most_images = 64;                        ///< near, that the tree serves, whatever the mesh
+constexpr double cells_per_image = 8;                     ///< that are summed while the tree takes one, on some ranks
+constexpr GlobalIndex most_cells = GlobalIndex(1) << 20;  ///< whose charge every rank may hold
 constexpr int most_known_blocks = (64 << 10) / sizeof(NodeRecord::Content);  ///< of the top: one message of 64 KB
 
 Senders senders(std::set<int> const& to, std::set<int> const& from) {
   return {{to.begin(), to.end()}, {from.begin(), from.end()}};
 }
 
-bool are_summed_by_axes(WallMesh const& mesh, Options const& options) {
+bool are_summed_by_axes(WallMesh const& mesh, std::size_t blocks, Options const& options) {
   Point const shape = mesh.lattice.shape();
   Cell const near = near_cells(mesh.lattice, options);
   double distance = 0;
   for (int d = 0; d < 3; ++d) distance = std::max(distance, near[d] * shape[d]);
+  double const images = mesh.images.copies_within(distance);
   GlobalIndex cells = 0;
   for (auto const& level : mesh.levels) cells += level->cells();
-  return cells <= most_cells && mesh.images.copies_within(distance) > most_images;
+  return images > most_images && cells <= most_cells && double(cells) < cells_per_image * images * double(blocks);
 }
 
 bool in_order(LeafPart const& a, LeafPart const& b) {
@@ -45,7 +47,7 @@ WallGeometry::WallGeometry(WallMesh const& given, Options const& options)
       sight(mesh, grids, patches, options),
       top(grids.with_at_most(most_known_blocks)),
       fewest_sharing_ranks(options.fewest_sharing_ranks),
-      by_axes(are_summed_by_axes(mesh, options)) {}
+      by_axes(are_summed_by_axes(mesh, patches.blocks().size(), options)) {}
 
 int WallGeometry::home(Block const& block) const {
   Level const& level = mesh.level(grids[block.grid].level);

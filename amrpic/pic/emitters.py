@@ -6,6 +6,7 @@ from seed and id, so they are the same on any ranks and after a restart.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -223,18 +224,25 @@ class OfGivenCharge(OfSurface[GivenSource]):
 
 
 class OfOneCharge(OfGivenCharge):
-    """Charge that is given in time, by macroparticles of one charge: one is born in each part of the pulse with this charge."""
+    """Charge that is given in time, by macroparticles of one charge: one is born in each part of the pulse with this charge.
+
+    The last one has what is left, where the charge of the pulse is no multiple of it.
+    """
 
     def numbers(self, span: Span) -> range:
         first, last = (int(self.source.charge_until(time) / self._unit) for time in (span.start, span.stop))
-        end = last + 2  # rounding may move a part of the pulse over the end of a step
-        return range(max(first - 1, 0), end if self.source.particles is None else min(end, self.source.particles))
+        # rounding may move a part of the pulse over the end of a step
+        return range(max(first - 1, 0), math.ceil(min(last + 2, self.source.parts)))
 
     def times(self, number: np.ndarray, span: Span) -> np.ndarray:
-        return self.source.time_of(self._unit * (number + self._uniform(number)))
+        return self.source.time_of(self._unit * (number + self._filled(number) * self._uniform(number)))
 
     def weights(self, number: np.ndarray, span: Span) -> np.ndarray:
-        return np.broadcast_to(self._unit / self.source.species.charge, len(number))
+        return self._filled(number) * (self._unit / self.source.species.charge)
+
+    def _filled(self, number: np.ndarray) -> np.ndarray:
+        """Return which part of the charge of a macroparticle is in the parts of the pulse of these numbers: 1 but in the last."""
+        return np.clip(self.source.parts - number, 0.0, 1.0)
 
     @property
     def _unit(self) -> float:

@@ -268,6 +268,15 @@ class GivenSource(Source):
         """Charge in C of each macroparticle, if all have the same."""
         return self.particle_charge if self.particles is None else self.total / self.particles
 
+    @property
+    def parts(self) -> float:
+        """Into how many parts with the charge of a macroparticle the pulse is cut; the last may have less."""
+        if self.particles is not None:
+            return self.particles
+        parts = self.total / self.particle_charge if self.particle_charge else 0.0
+        whole = round(parts) if math.isfinite(parts) else parts
+        return whole if abs(parts - whole) < 1e-9 * whole else parts
+
     def expected(self, start: float, stop: float, dt: float) -> int:
         """Return how many macroparticles are born between two times in s, by steps of `dt` s."""
         charge = self.charge_until(stop) - self.charge_until(start)

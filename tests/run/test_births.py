@@ -187,6 +187,24 @@ def test_a_pulse_has_its_times_and_places():
     assert stats.kstest(square, lambda s: (1 - np.exp(-s / 2)) / inside).pvalue > 0.01
 
 
+@pytest.mark.parametrize("parts, number", [(10, 10), (10.5, 11), (0.4, 1)])
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"current": -1e-9, "pulse": {"shape": "steady", "stop": 5.3 * STEP}},
+        {"charge": -1e-18, "pulse": {"shape": "flat", "length": 5.3 * STEP}},
+        {"charge": -1e-18, "pulse": {"shape": "gaussian", "sigma": STEP}},
+        {"charge": -1e-18, "pulse": {"shape": "table", "times": [0, 5.3 * STEP], "values": [1, 1]}},
+    ],
+)
+def test_a_pulse_gives_its_charge_whatever_that_of_a_macroparticle(given, parts, number):
+    total = given.get("charge", given.get("current", 0) * 5.3 * STEP)
+    run = Simulation(MPI.COMM_SELF, scene({**given, "particle_charge": total / parts, "momenta": beam_of(SLOW)}))
+    run.advance(10)
+    assert len(run.particles) == number
+    assert run.particles.total_charge(run.comm) == pytest.approx(total, rel=1e-12)
+
+
 def test_a_photo_cathode_has_the_thermal_emittance():
     """√(MTE / m c²) times the rms size of the spot, within five standard errors; MTE itself too."""
     count, energy = 20_000, 0.5 * ELEMENTARY_CHARGE

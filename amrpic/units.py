@@ -20,6 +20,7 @@ ALPHA_MASS = 6.6446573450e-27  # kg
 _ENERGY = {
     "J": 1.0,
     **{f"{p}eV": f * ELEMENTARY_CHARGE for p, f in {"": 1.0, "k": 1e3, "M": 1e6, "G": 1e9, "T": 1e12}.items()},
+    **{"mJ": 1e-3, "uJ": 1e-6, "µJ": 1e-6, "nJ": 1e-9, "pJ": 1e-12},
 }
 
 # One table per kind of quantity; the first unit is the SI unit that plain numbers are in.

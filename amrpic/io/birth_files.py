@@ -16,6 +16,7 @@ from . import openpmd_reader
 # ASTRA's columns, and the status of particles that are at the cathode still, and of those that fly.
 COLUMNS = ("x", "y", "z", "px", "py", "pz", "time", "charge", "index", "status")
 LIVING = (-1, 5)
+KINDS = {1: "electron", 2: "positron", 3: "proton"}  # by index; others are the user's own
 PER_NANO, EV_PER_C = 1e-9, ELEMENTARY_CHARGE / SPEED_OF_LIGHT
 
 
@@ -62,6 +63,12 @@ def _of_astra(path: Path, species: Species) -> Births:
     for column in ("z", "pz", "time"):
         table[1:, COLUMNS.index(column)] += table[0, COLUMNS.index(column)]
     table = table[np.isin(table[:, -1], LIVING)]
+    if not len(table):
+        raise InputError(
+            f"particle file {path} has no particles of status {LIVING[0]} or {LIVING[1]}, which are born; correct the status"
+        )
+    indices = np.unique(table[:, COLUMNS.index("index")])
+    openpmd_reader.require_species(path, {KINDS.get(int(index), "") for index in indices}, species)
     if species.charge == 0:
         raise InputError(f"particle file {path} gives weights as charges, but its species has none; give it another")
     weight = np.abs(table[:, COLUMNS.index("charge")] * PER_NANO / species.charge)

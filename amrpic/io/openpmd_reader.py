@@ -69,6 +69,16 @@ def births(file: str | Path, iteration: int | None, group: str | None, species: 
         return _Source(path, _find(path, h5, iteration, group)).births(species)
 
 
+def require_species(path: Path, names: set[str], species: Species) -> None:
+    """Raise InputError if a file says that some of its particles are of another species than their source."""
+    others = sorted(name for name in names if name in SPECIES and name != species.name)
+    if others and species.name in SPECIES:
+        raise InputError(
+            f"particle file {path} has {others[0]}s, but its source {species.name}s; set the source's species, and write each "
+            "species into a file of its own"
+        )
+
+
 @dataclass(frozen=True)
 class LossRecord:
     """The lost particles of a species, as `openpmd_writer` writes them."""
@@ -184,6 +194,7 @@ class _Source:
 
     def births(self, species: Species) -> tuple[Particles, Array]:
         """Return all particles, and their times of birth in s."""
+        require_species(self.path, {text(self.group.attrs.get("speciesType", ""))}, species)
         if "particleStatus" in self.group:
             born = np.isin(self._values("particleStatus"), (CATHODE, ALIVE))
             self._require("the status of a lost particle", born, "write the file with those alone that are alive")

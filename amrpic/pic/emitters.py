@@ -6,6 +6,7 @@ from seed and id, so they are the same on any ranks and after a restart.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from ..conductors.patches import Patches
 from ..errors import InputError
 from ..io.birth_files import Births, read
 from ..mesh.columns import Columns
+from ..mesh.periods import nearest, wrapped
 from ..mesh.spot_on_wall import SpotOnWall
 from ..mpi import MPI
 from ..parallel import call_together, from_rank_0, share
@@ -83,6 +85,10 @@ class Emitter(ABC, Generic[Kind]):
         """Return how many macroparticles are born between two times in s, by steps of `dt` s; None if no one knows before."""
         return None
 
+    def before(self, start: float) -> tuple[float, float]:
+        """Return when the first are born, s, and which part of all charge is born before a time in s; 0 if it has no end."""
+        return start, 0.0
+
     @property
     def extent(self) -> tuple[np.ndarray, np.ndarray] | None:
         """Corners (2,) in m, along its axes, of the surface that emits; None of a source without one."""
@@ -122,7 +128,7 @@ class OfSurface(Emitter[SurfaceKind]):
         if self.extent is None:
             return super().part(position, parts)
         lower, upper = self.extent
-        share = ((position - self._origin) @ self._axes[:2].T - lower) / (upper - lower)
+        share = (self._images(self._axes[:2] @ (position - self._origin).T).T - lower) / (upper - lower)
         return np.clip((share * parts).astype(np.int64), 0, parts - 1) @ [parts, 1]
 
     def draws(self, first: int, last: int) -> np.ndarray:
@@ -182,8 +188,20 @@ class OfSurface(Emitter[SurfaceKind]):
     def on_wall(self, columns: Columns) -> SpotOnWall:
         """Return which part of each face of the wall emits."""
         if self._on_wall is None or self._on_wall.columns is not columns:
-            self._on_wall = SpotOnWall(columns, None if self.source.spot is None else self.source.spot.holds)
+            self._on_wall = SpotOnWall(columns, None if self.source.spot is None else self._in_spot)
         return self._on_wall
+
+    def _in_spot(self, places: np.ndarray) -> np.ndarray:
+        """Return which places (2, n) on a face, or images of them, lie in the spot."""
+        assert self.source.spot is not None
+        return self.source.spot.holds(self._images(places))
+
+    def _images(self, places: np.ndarray) -> np.ndarray:
+        """Return the images of places (2, n) on a face that are nearest to the middle of what emits."""
+        if self.source.face_number is None or self.extent is None:
+            return places
+        along = zip(np.mean(self.extent, axis=0), places, map(self._domain.period, self._across), strict=True)
+        return np.array([middle + nearest(x - middle, period) for middle, x, period in along])
 
     @property
     def _across(self) -> list[int]:
@@ -204,6 +222,10 @@ class OfGivenCharge(OfSurface[GivenSource]):
     def expected(self, start: float, stop: float, dt: float) -> int:
         return self.source.expected(start, stop, dt)
 
+    def before(self, start: float) -> tuple[float, float]:
+        total = self.source.total
+        return self.source.pulse.start, self.source.charge_until(start) / total if math.isfinite(total) else 0.0
+
     def draws(self, first: int, last: int) -> np.ndarray:
         return draw(self.source.sampling, self._seed, self.first, first, last)
 
@@ -212,29 +234,40 @@ class OfGivenCharge(OfSurface[GivenSource]):
             return newborn
         if isinstance(span.layer, MetalLayer):
             column, area = span.layer.patches.nearest(newborn.position), span.layer.patches.area
+            charge = newborn.weight * abs(self.source.species.charge)
         else:
-            columns = span.layer.columns
-            column, _ = columns.find(newborn.position)  # the window is at rest where there is a layer
-            area = self.on_wall(columns).area
-        supplied = comm.allreduce(np.bincount(column, newborn.weight * abs(self.source.species.charge), len(area)))
+            columns = span.layer.columns  # the window is at rest where there is a layer
+            lower, upper = np.array(self._domain.lower), np.array(self._domain.upper)
+            places = wrapped(newborn.position, lower, upper, self._domain.periodic)
+            (column, _), area = columns.find(places), self.on_wall(columns).area
+            inside = ((places >= lower) & (places <= upper)).all(axis=1)  # others are not born
+            charge = inside * newborn.weight * abs(self.source.species.charge)
+        supplied = comm.allreduce(np.bincount(column, charge, len(area)))
         most = VACUUM_PERMITTIVITY * np.maximum(self.pull(span), 0.0) * area
         fraction = np.divide(most, supplied, out=np.ones_like(most), where=supplied > most)[column]
         return newborn.with_weight(newborn.weight * fraction).select(np.flatnonzero(fraction > 0))
 
 
 class OfOneCharge(OfGivenCharge):
-    """Charge that is given in time, by macroparticles of one charge: one is born in each part of the pulse with this charge."""
+    """Charge that is given in time, by macroparticles of one charge: one is born in each part of the pulse with this charge.
+
+    The last one has what is left, where the charge of the pulse is no multiple of it.
+    """
 
     def numbers(self, span: Span) -> range:
         first, last = (int(self.source.charge_until(time) / self._unit) for time in (span.start, span.stop))
-        end = last + 2  # rounding may move a part of the pulse over the end of a step
-        return range(max(first - 1, 0), end if self.source.particles is None else min(end, self.source.particles))
+        # rounding may move a part of the pulse over the end of a step
+        return range(max(first - 1, 0), math.ceil(min(last + 2, self.source.parts)))
 
     def times(self, number: np.ndarray, span: Span) -> np.ndarray:
-        return self.source.time_of(self._unit * (number + self._uniform(number)))
+        return self.source.time_of(self._unit * (number + self._filled(number) * self._uniform(number)))
 
     def weights(self, number: np.ndarray, span: Span) -> np.ndarray:
-        return np.broadcast_to(self._unit / self.source.species.charge, len(number))
+        return self._filled(number) * (self._unit / self.source.species.charge)
+
+    def _filled(self, number: np.ndarray) -> np.ndarray:
+        """Return how much of a macroparticle there is in parts of the pulse (n,): 1 but in the last one."""
+        return np.clip(self.source.parts - number, 0.0, 1.0)
 
     @property
     def _unit(self) -> float:
@@ -355,6 +388,10 @@ class OfFile(Emitter[FileSource]):
     def expected(self, start: float, stop: float, dt: float) -> int:
         return len(self.numbers(Span(start, stop, 0)))
 
+    def before(self, start: float) -> tuple[float, float]:
+        weight = self._births.weight
+        return float(self._time.min(initial=start)), float(weight[self._time < start].sum() / (weight.sum() or 1.0))
+
     def numbers(self, span: Span) -> range:
         return range(*np.searchsorted(self._time, (span.start, span.stop)).tolist())
 
@@ -410,7 +447,7 @@ class OfFunction(Emitter[FunctionSource]):
         if not all(np.isfinite(of).all() for of in (time, position, momentum, weight)):
             raise ValueError("it returned numbers that are not finite")
         if n and not (span.start <= time.min() and time.max() < span.stop):
-            raise ValueError(f"it returned times of birth outside of the step, {span.start:g} to {span.stop:g} s")
+            raise ValueError(f"it returned times of birth outside of the step, {span.start:g} s <= t < {span.stop:g} s")
         return Births(time, position, momentum, weight)
 
 

@@ -31,13 +31,8 @@ class Quantities(QuantitiesOnMesh):
     def surfaces(self) -> Sequence[tuple[int, np.ndarray, np.ndarray]]:
         """Those of sources, but for walls that the window has left behind."""
         left = () if self._last is None else set(self._setup.emitting_walls.faces) - set(self._last.layers)
-        domain, sources = self._setup.scene.domain, self._setup.scene.sources
-        return [
-            surface
-            for source in sources
-            for surface in source.surfaces(domain.lower, domain.upper)
-            if surface[0] not in left
-        ]
+        domain, sources = self._setup.scene.domain.value, self._setup.scene.sources
+        return [surface for source in sources for surface in source.surfaces(domain) if surface[0] not in left]
 
     def _rho(self) -> Field:
         """Charge density, C/m³."""

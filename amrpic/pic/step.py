@@ -82,6 +82,13 @@ def _made(base: Hierarchy, course: Course, setup: Setup) -> tuple[Arrived, float
     start, notes = start_of(setup.comm, setup.scene)
     for sentence in notes:
         setup.remarks.note(sentence)
+    for name, emitter in zip(setup.scene.source_names, setup.emitters, strict=True):
+        first, missed = emitter.before(start)
+        if missed > 0:
+            setup.remarks.remark(
+                f"{missed:.3g} of the charge of {name} would be born before the run starts at {start:g} s, the first at "
+                f"{first:g} s, and is not; set schedule.start to that, or let the source begin later"
+            )
     arrived = place(bunches, base, course.window, start, setup)
     require_some_inside(setup.comm, arrived.particles, count)
     return arrived, start, setup

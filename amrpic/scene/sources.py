@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from ..mesh.directions import axes
-from ..mesh.domain import FACES
+from ..mesh.domain import FACES, Domain
 from ..particles.emission import fowler_nordheim, richardson
 from ..particles.species import SPECIES
 from ..particles.uniform_numbers import Sampling
@@ -78,19 +78,20 @@ class OfSpecies(Obstacle):
         """Corners (2,) in m, along its own axes, of the part of its surface that emits; None for all of it."""
         return None
 
-    def surfaces(self, lower: Sequence[float], upper: Sequence[float]) -> list[tuple[int, np.ndarray, np.ndarray]]:
-        """Return the number of the face of a domain of these corners that emits, and the corners (3,) of the part that does, m;
-        none of a plane inside.
+    def surfaces(self, domain: Domain) -> list[tuple[int, np.ndarray, np.ndarray]]:
+        """Return the number of the face of a domain that emits, and the corners (3,) of the part that does, m; none of a plane
+        inside. Along periodic axes it may reach beyond the domain.
         """
         if self.face_number is None:
             return []
         axis, side = divmod(self.face_number, 2)
-        first, last = np.array(lower, dtype=float), np.array(upper, dtype=float)
-        first[axis] = last[axis] = (lower, upper)[side][axis]
+        first, last = np.array(domain.lower), np.array(domain.upper)
+        first[axis] = last[axis] = (domain.lower, domain.upper)[side][axis]
         across = [other for other in range(3) if other != axis]
         if self.reach is not None:
-            first[across] = np.maximum(first[across], self.reach[0])
-            last[across] = np.minimum(last[across], self.reach[1])
+            wall = ~np.array(domain.periodic)[across]
+            first[across] = np.where(wall, np.maximum(first[across], self.reach[0]), self.reach[0])
+            last[across] = np.where(wall, np.minimum(last[across], self.reach[1]), self.reach[1])
         return [(self.face_number, first, last)]
 
     def emits_at(self, axis: int) -> bool:
@@ -267,6 +268,15 @@ class GivenSource(Source):
     def unit_charge(self) -> float | None:
         """Charge in C of each macroparticle, if all have the same."""
         return self.particle_charge if self.particles is None else self.total / self.particles
+
+    @property
+    def parts(self) -> float:
+        """Into how many parts with the charge of a macroparticle the pulse is cut; the last may have less."""
+        if self.particles is not None:
+            return self.particles
+        parts = self.total / self.particle_charge if self.particle_charge else 0.0
+        whole = round(parts) if math.isfinite(parts) else parts
+        return whole if abs(parts - whole) < 1e-9 * whole else parts
 
     def expected(self, start: float, stop: float, dt: float) -> int:
         """Return how many macroparticles are born between two times in s, by steps of `dt` s."""

@@ -101,3 +101,28 @@ def test_files_that_cannot_be_used_are_refused(tmp_path):
         Simulation(MPI.COMM_SELF, scene({"file": str(tmp_path / "words.txt")}))
     with pytest.raises(InputError, match="lost particle"):
         Simulation(MPI.COMM_SELF, scene({"file": openpmd(tmp_path, 2)}))
+
+
+@pytest.mark.parametrize(
+    "column, value, words", [(-2, 3, "has protons, but its source electrons"), (-1, 1, "status -1 or 5")]
+)
+def test_particles_of_another_kind_or_of_the_past_are_refused(tmp_path, column, value, words):
+    file = astra(tmp_path)
+    table = np.loadtxt(file)
+    table[1:, column] = value
+    np.savetxt(file, table)
+    with pytest.raises(InputError, match=words):
+        Simulation(MPI.COMM_SELF, scene({"file": file, "face": "z_lower"}))
+
+
+def test_a_file_of_another_species_than_its_source_is_refused(tmp_path):
+    with pytest.raises(InputError, match="has electrons, but its source positrons"):
+        Simulation(MPI.COMM_SELF, scene({"file": openpmd(tmp_path, 0), "species": "positron"}))
+
+
+def test_births_before_the_run_draw_a_remark(tmp_path):
+    remarks = Simulation(MPI.COMM_SELF, scene({"file": astra(tmp_path), "face": "z_lower", "delay": -2 * STEP})).remarks
+    part = np.mean(TIME < 2 * STEP)
+    assert [
+        f"{part:.3g} of the charge of source_0 would be born before the run" in sentence for sentence in remarks
+    ] == [True]

@@ -187,6 +187,57 @@ def test_a_pulse_has_its_times_and_places():
     assert stats.kstest(square, lambda s: (1 - np.exp(-s / 2)) / inside).pvalue > 0.01
 
 
+@pytest.mark.parametrize("parts, number", [(10, 10), (10.5, 11), (0.4, 1)])
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"current": -1e-9, "pulse": {"shape": "steady", "stop": 5.3 * STEP}},
+        {"charge": -1e-18, "pulse": {"shape": "flat", "length": 5.3 * STEP}},
+        {"charge": -1e-18, "pulse": {"shape": "gaussian", "sigma": STEP}},
+        {"charge": -1e-18, "pulse": {"shape": "table", "times": [0, 5.3 * STEP], "values": [1, 1]}},
+    ],
+)
+def test_a_pulse_gives_its_charge_whatever_that_of_a_macroparticle(given, parts, number):
+    total = given.get("charge", given.get("current", 0) * 5.3 * STEP)
+    run = Simulation(MPI.COMM_SELF, scene({**given, "particle_charge": total / parts, "momenta": beam_of(SLOW)}))
+    run.advance(10)
+    assert len(run.particles) == number
+    assert run.particles.total_charge(run.comm) == pytest.approx(total, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    "given, missed",
+    [
+        ({"charge": -1e-18, "pulse": {"shape": "flat", "start": -STEP, "length": 4 * STEP}}, "0.25"),
+        ({"current": -1e-18, "pulse": {"shape": "steady", "start": -STEP, "stop": STEP}}, "0.5"),
+        ({"current": -1e-18, "pulse": {"shape": "steady", "start": -STEP}}, None),
+        ({"charge": -1e-18, "pulse": {"shape": "flat", "length": STEP}}, None),
+    ],
+)
+def test_charge_from_before_the_run_draws_a_remark(given, missed):
+    remarks = Simulation(MPI.COMM_SELF, scene({**given, "per_step": 2})).remarks
+    said = [f"{missed} of the charge of source_0 would be born before the run starts at 0 s, the first at -1e-10 s"]
+    found = [sentence.partition(", and is not")[0] for sentence in remarks if "before the run" in sentence]
+    assert found == (said if missed else [])
+
+
+@pytest.mark.parametrize("given", [{"process": "space-charge-limited"}, {"current": -1.0, "per_step": 400}])
+def test_a_spot_on_a_wall_goes_on_across_periodic_faces(given):
+    """It has all of its area, and gives what the same spot in the middle does."""
+    areas, charges = [], []
+    for centre in ([5e-4, 5e-4], [0, 5e-4], [1e-3, 0]):
+        spot = {"shape": "disc", "radius": 3e-4, "centre": centre}
+        limit = {} if "process" in given else {"limit": "space-charge"}
+        run = Simulation(
+            MPI.COMM_SELF, scene({**given, **limit, "spot": spot}, domain={**GAP, "potential": {"z": [0, 9]}})
+        )
+        run.advance(2)
+        areas.append(run._setup.emitters[0]._on_wall.area.sum())
+        charges.append(run.state.tallies.of[0].charge)
+    assert areas == pytest.approx([areas[0]] * 3, rel=1e-12) and areas[0] == pytest.approx(np.pi * 9e-8, rel=0.02)
+    assert charges == pytest.approx([charges[0]] * 3, rel=0.05)
+
+
 def test_a_photo_cathode_has_the_thermal_emittance():
     """√(MTE / m c²) times the rms size of the spot, within five standard errors; MTE itself too."""
     count, energy = 20_000, 0.5 * ELEMENTARY_CHARGE

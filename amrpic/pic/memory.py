@@ -29,7 +29,6 @@ VARYING = 32  # of a cell, for each electrode whose voltage varies: potential an
 # Of a cell and of a particle, by how these move: as they are before and after a step, and on their way.
 ONE_SOLVE = 68, 100
 MOVING = {"none": (80, 100), "leapfrog": (92, 215), "random-walk": (76, 280)}
-PLACING = 112  # of a particle while they are made and brought to their ranks
 WRITTEN = 40, 72  # of a cell, and a particle, in the largest file
 
 

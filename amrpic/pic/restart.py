@@ -54,8 +54,6 @@ OF_IMAGES = "_of_images"  # behind a name: of images of the charge in walls acro
 BEFORE = "phi_before"  # that of the step before, where solves start from both
 UNITS = {"rho": "C/m^3", "phi": "V", "efield": "V/m", "bfield": "T"}
 COLUMNS = ("position", "momentum", "weight", "id")
-ROW_BYTES = (24, 24, 8, 8)  # of each column
-LAGGING_BYTES = 24  # of the momenta that leapfrog keeps beside them
 RECORDED = ("time", "direction", "cause")  # beside them, of particles in a record
 # Parts of a scene that a restart follows from the next step on.
 FOLLOWED = (

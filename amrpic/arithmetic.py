@@ -42,6 +42,15 @@ LOGIC: dict[type[ast.AST], Callable[..., Any]] = {
 }
 
 
+def is_number(word: str | bytes) -> bool:
+    """Whether a word is a number."""
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
 def number(written: Any, where: str, names: Mapping[str, float]) -> float:
     """Return a number, or what an expression of numbers, functions and names comes to. InputError, with `where` it stands."""
     if isinstance(written, bool) or not isinstance(written, int | float | str):

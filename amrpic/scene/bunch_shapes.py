@@ -38,10 +38,7 @@ class TwissPlane(Section):
 
     @model_validator(mode="after")
     def _one_size(self) -> Self:
-        if (self.beta is None) == (self.sigma is None):
-            raise complaint(
-                "must be given, or else sigma", "keep one of the two", path="beta", found=self.beta or "neither"
-            )
+        self.refuse_pair("beta", "sigma")
         if self.sigma == 0 and self.emittance > 0:
             self.refuse("sigma", "is zero although the emittance is not", "give a size")
         return self

@@ -221,10 +221,7 @@ class RevolvedShape(InFile):
 
     def _check(self) -> None:
         super()._check()
-        if (self.points is None) == (self.file is None):
-            state = "is missing, as is file" if self.points is None else "is given as well as file"
-            remedy = "give points or file" if self.points is None else "keep one of the two"
-            raise complaint(state, remedy, path="points", found="")
+        self.refuse_pair("points", "file")
 
     def _as_given(self) -> shapes.Shape:
         points = self.points

@@ -155,12 +155,7 @@ class ElectrodeSection(Obstacle):
 
     @model_validator(mode="after")
     def _one_drive(self) -> Self:
-        if (self.voltage is None) == (self.charge is None):
-            state = "is missing, as is charge" if self.charge is None else "is given as well as charge"
-            remedy = (
-                "give a voltage, or the charge of one that floats" if self.charge is None else "keep one of the two"
-            )
-            raise complaint(state, remedy, path="voltage", found="")
+        self.refuse_pair("voltage", "charge", "give a voltage, or the charge of one that floats")
         return self
 
     @property

@@ -95,10 +95,7 @@ class ConstantFocusingElement(PossiblyEverywhere):
 
     @model_validator(mode="after")
     def _one_strength(self) -> Self:
-        if (self.gradient is None) == (self.wavenumber is None):
-            state = "is missing" if self.gradient is None else "is given as well as wavenumber"
-            remedy = "give gradient or wavenumber" if self.gradient is None else "keep one of the two"
-            self.refuse("gradient", state, remedy)
+        self.refuse_pair("gradient", "wavenumber")
         return self
 
     def gradient_for(self, species: Species, momentum: tuple[float, float, float]) -> tuple[float, float, float]:

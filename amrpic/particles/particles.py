@@ -169,10 +169,6 @@ class Particles:
         """Whether the weights are one number that is repeated."""
         return self.weight.strides == (0,)
 
-    def one_weight_and_most(self, comm: MPI.Comm) -> tuple[float | None, int]:
-        """The same as the function of all."""
-        return one_weight_and_most(comm, [self])
-
     def with_own_weights(self) -> Particles:
         """The same particles, with memory for the weight of each even if all are equal."""
         if not self.equal_weights:

@@ -125,10 +125,9 @@ def load(
         )
     by_auto = header.extra["compensation_by_auto"] if scene is None else scene.particles.compensation == "auto"
     scene = scene if scene is not None else Scene.from_dict(header.about.scene, source=f"the scene in {path}")
-    if scene.particles.interface == "auto":
-        scene = scene.with_interface(header.about.scene["particles"]["interface"])
-    if scene.particles.compensation == "auto":
-        scene = scene.with_compensation(header.about.scene["particles"]["compensation"])
+    for key in ("interface", "compensation"):
+        if getattr(scene.particles, key) == "auto":
+            scene = scene.with_clouds(**{key: header.about.scene["particles"][key]})
     _require_same_domain(scene, header, path)
     require_room(comm, scene, header.boxes, sum(contents.rows["particles"]), f"checkpoint {path}")
     domain, sizes = _mesh_of(header)

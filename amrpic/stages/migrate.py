@@ -61,7 +61,7 @@ def migrate_without(
     comm = hierarchy.comm
     if servers is None:
         servers = share_out(comm, *weights(particles, hierarchy))
-    weight, most = particles.one_weight_and_most(comm)
+    weight, most = one_weight_and_most(comm, [particles])
     _require_few(most)
     columns = _passing(particles if weight is not None else particles.with_own_weights(), at_rest)
     plan = _native.Migration(hierarchy.particle_mesh, servers, *columns, gone, weight is None)

@@ -215,8 +215,8 @@ def fields_between(elements: Sequence[Element]) -> list[tuple[float, float]]:
     Reads the files of maps. Raises InputError if one cannot be used.
     """
     maps = read_maps(elements)
-    both = ((extent(element), ends(element, maps)) for element in elements)
-    return [inner if math.isinf(outer[1]) else outer for outer, inner in both]
+    ranges = ((extent(element), ends(element, maps)) for element in elements)
+    return [inner if math.isinf(outer[1]) else outer for outer, inner in ranges]
 
 
 def slopes(element: Element) -> tuple[float, float]:

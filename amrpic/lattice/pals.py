@@ -158,12 +158,12 @@ class _File:
             label, keys = self.item(item, name)
             if "placement" in keys:
                 self.refuse(f"{label} in {name} has a placement, which is not understood; put drifts before it")
-            one = self.resolved(label, keys)
+            element = self.resolved(label, keys)
             repeat = int(self.number(keys.get("repeat", 1), f"repeat of {label}"))
             backwards = reversed_ != (self.number(keys.get("direction", 1), f"direction of {label}") < 0)
             for _ in range(abs(repeat)):
-                if one.get("kind") != "BeamLine":
-                    yield label, one, backwards
+                if element.get("kind") != "BeamLine":
+                    yield label, element, backwards
                     continue
                 inner = str(keys.get("inherit", label))
                 members = list(self.expanded(inner, backwards, depth + 1))
@@ -178,19 +178,19 @@ class _File:
     def reference(self, begin: Definition) -> tuple[Species | None, float | None]:
         of = begin.get("ReferenceP") or {}
         name = str(of.get("species_ref", "")).lstrip("#")
-        species = next((one for label, one in SPECIES.items() if label.lower() == name.lower()), None)
+        species = next((member for label, member in SPECIES.items() if label.lower() == name.lower()), None)
         if name and species is None:
             self.refuse(f"species_ref is {name!r}; use one of {', '.join(SPECIES)}, or give species in [lattice]")
         if species is None:
             return None, None
-        rest = species.mass * SPEED_OF_LIGHT**2 / ELEMENTARY_CHARGE  # eV
+        rest_energy = species.mass * SPEED_OF_LIGHT**2 / ELEMENTARY_CHARGE  # eV
         if "pc_ref" in of:
             pc = self.number(of["pc_ref"], "pc_ref")
         elif "E_tot_ref" in of:
             total = self.number(of["E_tot_ref"], "E_tot_ref")
-            if not total > rest:
-                self.refuse(f"E_tot_ref is {total:g} eV, of a {name} of {rest:g} eV; give the total energy")
-            pc = math.sqrt(total**2 - rest**2)
+            if not total > rest_energy:
+                self.refuse(f"E_tot_ref is {total:g} eV, of a {name} of {rest_energy:g} eV; give the total energy")
+            pc = math.sqrt(total**2 - rest_energy**2)
         else:
             return species, None
         return species, pc * ELEMENTARY_CHARGE / SPEED_OF_LIGHT
@@ -296,15 +296,15 @@ class _Element:
         multipoles = self.multipoles(length)
         if multipoles.pop("tilt", 0.0):
             lacking += ("a tilted multipole",)
-        more = multipoles["normal"].pop(0, 0.0)
+        dipole = multipoles["normal"].pop(0, 0.0)
         if multipoles["skew"].pop(0, 0.0):
             lacking += ("a field in the plane of the bend",)
-        curvature = (angle / length if length else 0.0) + more
+        curvature = (angle / length if length else 0.0) + dipole
         tilt = self.number("tilt_ref", of, 0.0)
         entrance, exit = (2 * self.number(f"edge{end}_int", of, 0.0) for end in (1, 2))  # of half a gap there
         integrals = (exit, entrance) if self.backwards else (entrance, exit)
-        made = replace(piece, kind="bend", length=length, angle=angle, faces=faces, tilt=tilt, curvature=curvature)
-        return replace(made, lacking=lacking, edge_integrals=integrals, **multipoles)
+        bend = replace(piece, kind="bend", length=length, angle=angle, faces=faces, tilt=tilt, curvature=curvature)
+        return replace(bend, lacking=lacking, edge_integrals=integrals, **multipoles)
 
     def shape(self, length: float, of: Definition) -> tuple[float, float]:
         """Return length and angle, of which two of length, angle and curvature are given."""

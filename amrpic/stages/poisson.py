@@ -304,7 +304,7 @@ class PoissonSolver:
         if name not in names:
             raise SolverError(f"there is no electrode {name!r}; there are {', '.join(names)}")
         out = self._unit_potentials[names.index(name)].copy()
-        self._units = [known for known in self._units if known[0]() is not None]
+        self._units = [unit for unit in self._units if unit[0]() is not None]
         self._units.append((weakref.ref(out), names.index(name)))
         return out
 
@@ -359,7 +359,7 @@ class PoissonSolver:
     @contextmanager
     def _surfaces_of(self, phi: Field) -> Iterator[None]:
         """Let walls and electrodes hold what they do in a potential: of one electrode at 1 V, else of the latest solve."""
-        number = next((n for known, n in self._units if known() is phi), None)
+        number = next((n for reference, n in self._units if reference() is phi), None)
         if number is None:
             yield
             return
@@ -526,8 +526,8 @@ def _options(options: SolverOptions | None, choices: Mapping[str, Any]) -> Solve
     try:
         return SolverOptions.model_validate({name: _plain(value) for name, value in choices.items()})
     except ValidationError as refused:
-        path, found, what, remedy = mistakes(refused, SolverOptions)[0]
-        raise SolverError(f"{path} is {found!r}, which {what}; {remedy}") from None
+        path, value_found, problem, remedy = mistakes(refused, SolverOptions)[0]
+        raise SolverError(f"{path} is {value_found!r}, which {problem}; {remedy}") from None
 
 
 def _plain(value: Any) -> Any:

@@ -16,7 +16,6 @@ from ..particles import distributions
 from ..particles.phase_space import PhasePlane
 from ..units import SPEED_OF_LIGHT
 from .bunches import Train
-from .complaints import complaint
 from .section import Section, refuse_negative
 from .units import Emittance, Length, Length3, Positive3
 
@@ -93,11 +92,10 @@ class SizedBunch(Train):
             self.refuse("momentum_spread", "is given as well as twiss, whose emittances give it", "keep one of the two")
         for axis in "xyz":
             if getattr(twiss, axis).beta is not None and not any(self.mean_momentum):
-                raise complaint(
+                self.refuse(
+                    f"twiss.{axis}.beta",
                     "needs a mean momentum, to which it refers",
                     "give momentum or velocity, or sigma in place of beta",
-                    path=f"twiss.{axis}.beta",
-                    found=getattr(twiss, axis).beta,
                 )
 
     @property

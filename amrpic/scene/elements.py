@@ -126,9 +126,7 @@ class FringedElement(Element):
         if self.fringe == "hard":
             for key, value in (("gap", self.gap), ("enge", self.enge)):
                 if value is not None:
-                    raise complaint(
-                        "means nothing to hard edges", 'set fringe = "enge", or leave it out', path=key, found=value
-                    )
+                    self.refuse(key, "means nothing to hard edges", 'set fringe = "enge", or leave it out')
         elif self.gap is None:
             self.refuse("gap", "is missing", "add the full aperture that the fringe scales with")
         if math.isinf(enge_reach(self.coefficients)):
@@ -196,11 +194,9 @@ class DipoleElement(FringedElement):
             ("edge_integrals", self.edge_integrals, (0.0, 0.0)),
         ):
             if value != absent and self.fringe != "hard":
-                raise complaint(
-                    "is for hard faces alone", 'set fringe = "hard", or leave it out', path=key, found=value
-                )
+                self.refuse(key, "is for hard faces alone", 'set fringe = "hard", or leave it out')
         if self.edge_integrals != (0.0, 0.0) and self.turn == 0:
-            raise complaint("is missing", "give the angle by which the orbit turns", path="turn", found=0.0)
+            self.refuse("turn", "is missing", "give the angle by which the orbit turns")
         return self
 
 

@@ -49,9 +49,7 @@ class Threshold(Rule):
     def _one_threshold(self) -> Self:
         self.refuse_pair("relative", "absolute")
         if self.absolute is not None and self.relative_to == "level":
-            raise complaint(
-                "has no meaning beside absolute", "leave it out, or give relative", path="relative_to", found="level"
-            )
+            self.refuse("relative_to", "has no meaning beside absolute", "leave it out, or give relative")
         return self
 
 
@@ -97,9 +95,7 @@ class Bounds(Rule):
         if at_least is None and at_most is None:
             raise complaint("must be given, or at_most, or both", "add one", path="at_least", found="")
         if at_least is not None and at_most is not None and at_least > at_most:
-            raise complaint(
-                f"lies above at_most = {at_most}, so that no cell fits", "swap them", path="at_least", found=at_least
-            )
+            self.refuse("at_least", f"lies above at_most = {at_most}, so that no cell fits", "swap them")
         return self
 
 

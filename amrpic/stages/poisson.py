@@ -148,12 +148,8 @@ class PoissonSolver:
                 "one without it"
             )
         self._walls: tuple[Function | None, Function | None] | None = (None, None)  # whose values the walls hold
-        native = native_options(chosen)
+        native = native_options(chosen, mirror)
         native.neutralize = background is not None
-        if mirror is not None:
-            native.across = mirror.axis
-            native.mirror_places = [np.nan if plane is None else plane.place for plane in mirror.planes]
-            native.mirror_signs = [1 if plane is None else SIGNS[plane.kind] for plane in mirror.planes]
         reusable = reuse.native if reuse is not None else _native.Reusable()
         try:
             of_metal = None if metal is None else metal.native()
@@ -537,13 +533,17 @@ def _plain(value: Any) -> Any:
     return tuple(map(_plain, value)) if isinstance(value, list | tuple) else value
 
 
-def native_options(options: SolverOptions) -> _native.SolverOptions:
+def native_options(options: SolverOptions, mirror: Mirror | None = None) -> _native.SolverOptions:
     """Return the options as the native struct; the names of choices become members of its enumerations."""
     native = _native.SolverOptions()
     for name, value in options.native_values().items():
         if isinstance(value, str):
             value = getattr(type(getattr(native, name)), value.replace("-", "_"))
         setattr(native, name, value)
+    if mirror is not None:
+        native.across = mirror.axis
+        native.mirror_places = [np.nan if plane is None else plane.place for plane in mirror.planes]
+        native.mirror_signs = [1 if plane is None else SIGNS[plane.kind] for plane in mirror.planes]
     return native
 
 

@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from ..arithmetic import number
 from ..errors import InputError
@@ -81,8 +81,8 @@ class _File:
             elif name in ("include", "load", "set", "sets", "superimpose", "controllers", "controller"):
                 self.refuse(f"{name} is not understood; expand the lattice before")
 
-    def refuse(self, what: str) -> None:
-        raise InputError(f"lattice {self.file}: {what}")
+    def refuse(self, mistake: str) -> NoReturn:
+        raise InputError(f"lattice {self.file}: {mistake}")
 
     def number(self, written: Any, where: str) -> float:
         return number(written, f"lattice {self.file}: {where}", self.names)
@@ -107,7 +107,6 @@ class _File:
         definition = self.definitions.get(name)
         if definition is None:
             self.refuse(f"there is no line {name!r}; name one of {', '.join(self.definitions) or 'none'}")
-        assert definition is not None
         if definition.get("kind") != "Lattice":
             return name
         branches = definition.get("branches") or []
@@ -125,7 +124,6 @@ class _File:
             if keys is None or isinstance(keys, Mapping):
                 return str(name), keys or {}
         self.refuse(f"{within} has the item {item!r:.60}; give a name, or a name with keys below")
-        raise AssertionError
 
     def resolved(self, name: str, keys: Definition, depth: int = 0) -> Definition:
         """Return a definition with what it inherits; groups are merged key by key."""
@@ -135,7 +133,6 @@ class _File:
         base = self.definitions.get(str(of))
         if base is None or depth > DEEPEST:
             self.refuse(f"{name} is {of!r}, which is not defined")
-        assert base is not None
         below = self.resolved(str(of), base, depth + 1) if base is not keys else base
         merged = dict(below)
         for key, value in keys.items():
@@ -253,7 +250,6 @@ class _Element:
             self.file.refuse(
                 f"{key} of {self.name} is a field, but no BeginningEle says species and momentum (ReferenceP)"
             )
-        assert self.rigidity is not None
         return strength / self.rigidity
 
     def multipoles(self, length: float) -> dict[str, Any]:
@@ -357,7 +353,6 @@ class _Element:
         )
         if zero is None:
             self.file.refuse(f"{self.name} has the zero_phase {of['zero_phase']!r}, which is not understood")
-        assert zero is not None
         voltage = self.number("voltage", of, 0.0) or self.number("gradient", of, 0.0) * piece.length
         phase = 2 * math.pi * (self.number("phase", of, 0.0) + zero)
         return replace(piece, kind="cavity", voltage=voltage, frequency=self.number("frequency", of, 0.0), phase=phase)

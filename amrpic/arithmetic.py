@@ -42,21 +42,30 @@ LOGIC: dict[type[ast.AST], Callable[..., Any]] = {
 }
 
 
+def is_number(word: str | bytes) -> bool:
+    """Whether a word is a number."""
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
 def number(written: Any, where: str, names: Mapping[str, float]) -> float:
     """Return a number, or what an expression of numbers, functions and names comes to. InputError, with `where` it stands."""
     if isinstance(written, bool) or not isinstance(written, int | float | str):
         raise InputError(f"{where} is {written!r:.60}; give a number")
     try:
-        found = written if not isinstance(written, str) else value(parsed(written), {**CONSTANTS, **names}, FUNCTIONS)
-        if isinstance(found, bool):
+        result = written if not isinstance(written, str) else value(parsed(written), {**CONSTANTS, **names}, FUNCTIONS)
+        if isinstance(result, bool):
             raise ValueError(written)
-        found = float(found)
+        result = float(result)
     except (SyntaxError, ArithmeticError, ValueError, TypeError, KeyError, RecursionError) as refused:
-        what = f"{refused.args[0]!r} is unknown" if isinstance(refused, KeyError) else "no expression of numbers"
-        raise InputError(f"{where} is {written!r:.60}: {what}; give a number") from None
-    if not math.isfinite(found):
+        problem = f"{refused.args[0]!r} is unknown" if isinstance(refused, KeyError) else "no expression of numbers"
+        raise InputError(f"{where} is {written!r:.60}: {problem}; give a number") from None
+    if not math.isfinite(result):
         raise InputError(f"{where} is {written!r:.60}; give a finite number")
-    return found
+    return result
 
 
 def parsed(written: str) -> ast.expr:

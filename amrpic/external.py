@@ -103,16 +103,6 @@ class ExternalFields:
         out.native = self.native.seen_from(window.origin, window.axes)
         return out
 
-    @property
-    def electric(self) -> bool:
-        """Whether there is any electric field."""
-        return self.native.electric
-
-    @property
-    def magnetic(self) -> bool:
-        """Whether there is any magnetic field."""
-        return self.native.magnetic
-
     def fields(self, position: ArrayLike, time: float = 0.0) -> tuple[Array, Array]:
         """Return E (n, 3) in V/m and B (n, 3) in T at places (n, 3) in m and a time in s.
 
@@ -129,18 +119,6 @@ class ExternalFields:
         """
         places, velocities = (np.ascontiguousarray(array, dtype=float) for array in (position, velocity))
         return self.native.means(places, velocities, time, start, stop)
-
-    def edges(
-        self, position: ArrayLike, velocity: ArrayLike, start: float, stop: float
-    ) -> tuple[Array, Array, Array, Array, Array]:
-        """Return what `means` has in B from planes where flights enter a field, and from those where they leave it (n, 3) in T.
-
-        Behind these when that is, two columns in s and one of zeros, the normals of the planes (n, 3), and 1 for flights that
-        pass an end (n).
-        """
-        places, velocities = (np.ascontiguousarray(array, dtype=float) for array in (position, velocity))
-        first, last, when, normal, ends = self.native.edges(places, velocities, start, stop)
-        return first, last, when, normal, ends
 
 
 def read_maps(elements: Sequence[Element]) -> Maps:
@@ -237,8 +215,8 @@ def fields_between(elements: Sequence[Element]) -> list[tuple[float, float]]:
     Reads the files of maps. Raises InputError if one cannot be used.
     """
     maps = read_maps(elements)
-    both = ((extent(element), ends(element, maps)) for element in elements)
-    return [inner if math.isinf(outer[1]) else outer for outer, inner in both]
+    ranges = ((extent(element), ends(element, maps)) for element in elements)
+    return [inner if math.isinf(outer[1]) else outer for outer, inner in ranges]
 
 
 def slopes(element: Element) -> tuple[float, float]:

@@ -52,52 +52,6 @@ def _counted(name: str) -> Callable[..., Any]:
 T = TypeVar("T")
 
 
-@dataclass(frozen=True)
-class VirtualRank:
-    """One of any number of ranks that need not exist, in place of a communicator.
-
-    What follows from metadata alone is the same as on a real rank. What it sends is counted and goes nowhere, and what all
-    ranks hold together is its own part alone: what a real rank does can be gone through for its traffic, with wrong numbers.
-    AmrpicError for what is not counted.
-    """
-
-    rank: int
-    size: int
-
-    def py2f(self) -> tuple[int, int]:
-        """Return what native functions take in place of a communicator's handle."""
-        return self.rank, self.size
-
-    def _count(self) -> None:
-        if self.size > 1:
-            _native.count_collective()
-
-    def allreduce(self, value: T, op: MPI.Op = MPI.SUM) -> T:
-        self._count()
-        return value
-
-    def Allreduce(self, own_values: Any, all_: np.ndarray, op: MPI.Op = MPI.SUM) -> None:
-        self._count()
-        if own_values is not MPI.IN_PLACE:
-            all_[...] = own_values
-
-    def allgather(self, value: T) -> list[T]:
-        self._count()
-        return [value]
-
-    def bcast(self, value: T, root: int = 0) -> T:
-        self._count()
-        return value
-
-    def Barrier(self) -> None:
-        self._count()
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):
-            raise AttributeError(name)
-        raise AmrpicError(f"rank {self.rank} of {self.size} is virtual and has no {name}; run this under mpiexec")
-
-
 COLLECTIVES = ("Allreduce", "allgather", "Allgather", "gather", "bcast", "Barrier")  # those that we use
 for _name in COLLECTIVES:
     setattr(Communicator, _name, _counted(_name))
@@ -109,9 +63,9 @@ def own(comm: MPI.Comm) -> Communicator:
     """Return the library's duplicate of a communicator, made at the first call and freed with it. Collective.
 
     From then on a failure of MPI on it ends the job with one sentence, as does an exception that a script does not catch on
-    some of several ranks.
+    some of several ranks. What stands in for a communicator is taken as it is.
     """
-    if isinstance(comm, Communicator):
+    if isinstance(comm, Communicator) or not isinstance(comm, MPI.Comm):
         return comm
     duplicate = cast(Communicator | None, comm.Get_attr(_OWN))
     if duplicate is None:
@@ -128,7 +82,7 @@ def world_by_default(method: Callable[..., T]) -> Callable[..., T]:
 
     @functools.wraps(method)
     def call(self: Any, *arguments: Any, **named: Any) -> T:
-        if "comm" not in named and not (arguments and isinstance(arguments[0], MPI.Comm | VirtualRank)):
+        if "comm" not in named and not (arguments and hasattr(arguments[0], "py2f")):
             arguments = (MPI.COMM_WORLD, *arguments)
         return method(self, *arguments, **named)
 

@@ -86,14 +86,16 @@ class AnalyticDistribution(picmistandard.PICMI_AnalyticDistribution):
 
     def drawn(self, number: int, rng: np.random.Generator, lower: Array, upper: Array) -> tuple[Array, Array, Array]:
         """Return places (n, 3) in m, u (n, 3) in m/s and weights (n,): evenly spread, each with its density; none without."""
-        if any(one is not None for one in [*self.momentum_expressions, *self.momentum_spread_expressions]):
+        if any(
+            expression is not None for expression in [*self.momentum_expressions, *self.momentum_spread_expressions]
+        ):
             raise InputError("momentum expressions of an AnalyticDistribution are not taken; give directed_velocity")
         low, high = _within(self, lower, upper)
         places = low + (high - low) * _quiet(number, rng)
         density = _values(str(self.density_expression), places, self.user_defined_kw)
         weight = density * float(np.prod(high - low)) / max(number, 1)
-        u, there = _thermal(self, number, rng), weight > 0
-        return places[there], u[there], weight[there]
+        u, weighed = _thermal(self, number, rng), weight > 0
+        return places[weighed], u[weighed], weight[weighed]
 
 
 class ParticleListDistribution(picmistandard.PICMI_ParticleListDistribution):
@@ -118,8 +120,8 @@ class PICMISpecies(picmistandard.PICMI_Species):
 
     def real(self) -> RealSpecies:
         """Return one real particle of it."""
-        known = {"electron": "electron", "positron": "positron", "proton": "proton", "antiproton": "antiproton"}
-        by_name = SPECIES[known[self.particle_type]] if self.particle_type in known else None
+        kinds = {"electron": "electron", "positron": "positron", "proton": "proton", "antiproton": "antiproton"}
+        by_name = SPECIES[kinds[self.particle_type]] if self.particle_type in kinds else None
         charge = _number(self.charge, by_name.charge if by_name else None, "charge")
         mass = _number(self.mass, by_name.mass if by_name else None, "mass")
         return RealSpecies(name=self.name or self.particle_type or "species", charge=charge, mass=mass)
@@ -194,11 +196,11 @@ class Simulation(picmistandard.PICMI_Simulation):
 
     def run_of_scene(self) -> Run:
         """Return the run that steps go on with. Collective."""
-        made = getattr(self, "_run", None)
-        if made is None:
-            made = Run(MPI.COMM_WORLD, self.scene())
-            object.__setattr__(self, "_run", made)
-        return made
+        run = getattr(self, "_run", None)
+        if run is None:
+            run = Run(MPI.COMM_WORLD, self.scene())
+            object.__setattr__(self, "_run", run)
+        return run
 
     def step(self, nsteps: int | None = 1) -> None:
         """Make so many steps; None: up to max_steps. Collective."""
@@ -223,7 +225,8 @@ class Simulation(picmistandard.PICMI_Simulation):
 
     def _shape(self) -> str:
         shape = next(
-            (one.particle_shape for one in self.species if one.particle_shape is not None), self.particle_shape
+            (species.particle_shape for species in self.species if species.particle_shape is not None),
+            self.particle_shape,
         )
         name = ORDERS[shape] if isinstance(shape, int) and shape < len(ORDERS) else shape
         if name is not None and name not in SHAPES:
@@ -235,12 +238,12 @@ class Simulation(picmistandard.PICMI_Simulation):
         for number, (species, layout) in enumerate(zip(self.species, self.layouts, strict=True)):
             distributions = species.initial_distribution
             many: Sequence[Any] = distributions if isinstance(distributions, list) else [distributions]
-            for one in many:
-                if not hasattr(one, "drawn"):
-                    raise InputError(f"the distribution {type(one).__name__} is not there; give one of amrpic.picmi")
-                count, seed = _count(layout, one, grid, lower, upper)
+            for member in many:
+                if not hasattr(member, "drawn"):
+                    raise InputError(f"the distribution {type(member).__name__} is not there; give one of amrpic.picmi")
+                count, seed = _count(layout, member, grid, lower, upper)
                 rng = np.random.default_rng([number, seed])
-                places, u, weight = one.drawn(count, rng, lower, upper)
+                places, u, weight = member.drawn(count, rng, lower, upper)
                 real, scale = species.real(), species.density_scale or 1.0
                 inside = ((places >= lower) & (places < upper)).all(axis=1)
                 yield {
@@ -320,8 +323,8 @@ def _values(expression: str, places: Array, parameters: dict[str, Any]) -> Array
 
 def _number(value: Any, default: float | None, what: str) -> float:
     if isinstance(value, str):
-        known = {"q_e": ELEMENTARY_CHARGE, "-q_e": -ELEMENTARY_CHARGE, "m_e": ELECTRON_MASS, "m_p": PROTON_MASS}
-        value = known.get(value, value)
+        constants = {"q_e": ELEMENTARY_CHARGE, "-q_e": -ELEMENTARY_CHARGE, "m_e": ELECTRON_MASS, "m_p": PROTON_MASS}
+        value = constants.get(value, value)
     if value is None:
         value = default
     if not isinstance(value, int | float):

@@ -336,7 +336,7 @@ PRONOUNS = """
     found one held there here given made wanted known kept mine theirs ours which what apart rest others another taken some both
     shown then each every around it drawn seen none gone asked said more come came
 """
-MOST_PRONOUNS = 0.01  # of all bound names; may only fall
+MOST_PRONOUNS = 0.005  # of all bound names; may only fall
 
 
 def bound_names(text: str) -> Iterator[str]:

@@ -206,8 +206,8 @@ def _births(setup: Setup, start: float) -> tuple[list[int], list[str]]:
         name: emitter.expected(start, stop, dt)
         for name, emitter in zip(scene.source_names, setup.emitters, strict=True)
     }
-    known = [number for number in numbers.values() if number is not None]
-    return known, [name for name, number in numbers.items() if number is None]
+    numbers_known = [number for number in numbers.values() if number is not None]
+    return numbers_known, [name for name, number in numbers.items() if number is None]
 
 
 def _duration(scene: Scene, dt: float) -> float:

@@ -13,11 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import InputError
 from ..shapes import Shape
 from ..shapes.spans import Floats, Ints
 from .conductor import Conductor
-from .contacts import Contact, LineSpans, contacts, sentence
+from .contacts import Contact, LineSpans, contacts
 
 # A centre that is nearer to metal than this share of an arm, along that arm, lies in the metal.
 TOUCH = 1e-9
@@ -37,21 +36,6 @@ class CutArms:
     surface: NDArray[np.int32]  # (n, 6) which of its shape's surfaces; -1 where there is none, or none was found
     first_solid: Ints  # (boxes + 1,) where the solid cells of each box begin
     first_cut: Ints  # (boxes + 1,) where the cut cells of each box begin
-
-    def of_box(self, number: int) -> CutArms:
-        """Return those of one box."""
-        solid = slice(*self.first_solid[number : number + 2])
-        cut = slice(*self.first_cut[number : number + 2])
-        return CutArms(
-            self.solid[solid],
-            self.solid_electrode[solid],
-            self.cell[cut],
-            self.theta[cut],
-            self.electrode[cut],
-            self.surface[cut],
-            np.array([0, solid.stop - solid.start]),
-            np.array([0, cut.stop - cut.start]),
-        )
 
     def crossings(
         self, electrodes: Sequence[Conductor], boxes: ArrayLike, origin: ArrayLike, spacing: ArrayLike
@@ -92,27 +76,12 @@ def indices(boxes: ArrayLike, cell: Ints, first: Ints) -> Ints:
     return np.asarray(np.stack([i, j, k], axis=1) + rows[box, :3])
 
 
-def cut_arms(
-    electrodes: Sequence[Conductor], lower: ArrayLike, shape: ArrayLike, origin: ArrayLike, spacing: ArrayLike
-) -> CutArms:
-    """Return the arms that metal cuts in a box of cells.
-
-    `lower` (3,) is the index of the box's first cell, `shape` (3,) how many cells it has, x, y, z; the centre of a cell
-    lies at `origin` + (index + 1/2) · `spacing`, m. Raises InputError, if electrodes of different voltages touch.
-    """
-    first = np.asarray(lower, np.int64)
-    last = first + np.asarray(shape, np.int64) - 1
-    arms, touching = arms_of_boxes(electrodes, [[*first, *last]], origin, spacing)
-    if touching:
-        raise InputError(sentence(electrodes, touching[0]))
-    return arms
-
-
 def arms_of_boxes(
     electrodes: Sequence[Conductor], boxes: ArrayLike, origin: ArrayLike, spacing: ArrayLike
 ) -> tuple[CutArms, list[Contact]]:
     """Return the arms that metal cuts in boxes (lower x, y, z, upper x, y, z, inclusive) of a level, and contacts.
 
+    The centre of a cell lies at `origin` + (index + 1/2) · `spacing`, m.
     An electrode comes before later ones where they overlap. Contacts are those on lines through cells of these boxes.
     """
     lattice = Lattice.of(origin, spacing)

@@ -50,9 +50,10 @@ class MetalOnMesh:
             return False
         if [electrode.shape for electrode in electrodes] != [electrode.shape for electrode in self._electrodes]:
             with together(comm, SolverError):
-                asked = sorted(self._answers, key=lambda one: len(one[0]))  # coarse levels first: these take no time
+                # coarse levels first: these take no time
+                questions = sorted(self._answers, key=lambda question: len(question[0]))
                 same = all(
-                    _digest(self._found(electrodes, boxes, widths)[0]) == known for boxes, widths, known in asked
+                    _digest(self._found(electrodes, boxes, widths)[0]) == answer for boxes, widths, answer in questions
                 )
             if not comm.allreduce(same, MPI.LAND):
                 return False

@@ -36,8 +36,10 @@ class Remembered:
         names = [row.tobytes() for row in rows]
         new = [name not in known for name in names]
         sizes = (rows[new, 3:] - rows[new, :3] + 1).prod(axis=1)
-        found = np.split(self.mark(electrodes, rows[new], origin, spacing), np.cumsum(sizes)[:-1]) if any(new) else []
-        of_new = iter(found)
+        marks_of_new = (
+            np.split(self.mark(electrodes, rows[new], origin, spacing), np.cumsum(sizes)[:-1]) if any(new) else []
+        )
+        of_new = iter(marks_of_new)
         marks = {name: next(of_new) if is_new else known[name] for name, is_new in zip(names, new, strict=True)}
         self._known = [(where, marks), *(one for one in self._known if one[0] != where)][: self._MOST]
         return np.concatenate([np.empty(0, bool), *(marks[name] for name in names)])

@@ -89,8 +89,8 @@ def run(
         status = process.wait()
     if status != 0:
         lines = (own / LOG).read_text(encoding="utf-8", errors="replace").split("\n")
-        said = next((line.removeprefix(PROGRAM) for line in lines if line.startswith(PROGRAM)), "")
-        raise AmrpicError(f"the run in {own} ended with status {status}: {said or f'see {LOG} there'}")
+        message = next((line.removeprefix(PROGRAM) for line in lines if line.startswith(PROGRAM)), "")
+        raise AmrpicError(f"the run in {own} ended with status {status}: {message or f'see {LOG} there'}")
     return own
 
 

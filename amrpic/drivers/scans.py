@@ -101,9 +101,9 @@ def drawn(rows: Sequence[Row], shown: Sequence[str] = SHOWN) -> Figure:
     abscissa, ticks = _abscissa([row.inputs[key] for row in rows])
     figure = Figure(figsize=(8, 0.8 + 2.0 * len(names)), layout="constrained")
     axes = np.atleast_1d(figure.subplots(max(len(names), 1), 1, sharex=True))
-    others = list(dict.fromkeys(tuple(list(row.inputs.items())[1:]) for row in rows))
+    settings = list(dict.fromkeys(tuple(list(row.inputs.items())[1:]) for row in rows))
     for axis, name in zip(axes, names, strict=False):
-        for other in others:
+        for other in settings:
             points = [
                 (x, row.numbers.get(name, np.nan))
                 for x, row in zip(abscissa, rows, strict=True)
@@ -111,7 +111,7 @@ def drawn(rows: Sequence[Row], shown: Sequence[str] = SHOWN) -> Figure:
             ]
             axis.plot(*zip(*points, strict=True), "o-", label=", ".join(f"{k} = {v}" for k, v in other))
         axis.set_ylabel(name)
-    if any(others[0]):
+    if any(settings[0]):
         axes[0].legend(fontsize="small")
     axes[-1].set_xlabel(key)
     if ticks:

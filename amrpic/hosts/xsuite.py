@@ -78,13 +78,13 @@ def install_space_charge(line: Any, count: int, **settings: Any) -> list[SpaceCh
     They share one engine. `settings`: those of `amrpic.SpaceCharge`, and `longitudinal`. Thick elements are cut.
     """
     path = line.get_length() / count
-    made = _sharing([path] * count, settings)
+    elements = _sharing([path] * count, settings)
     names = [f"space_charge_{n}" for n in range(count)]
     line.discard_tracker()
-    for name, element in zip(names, made, strict=True):
+    for name, element in zip(names, elements, strict=True):
         line.env.elements[name] = element
     line.insert([line.env.place(name, at=(n + 0.5) * path) for n, name in enumerate(names)])
-    return made
+    return elements
 
 
 def replace_space_charge(line: Any, **settings: Any) -> list[SpaceCharge]:
@@ -92,16 +92,16 @@ def replace_space_charge(line: Any, **settings: Any) -> list[SpaceCharge]:
 
     They have the names and lengths of these, and share one engine; `settings` as above.
     """
-    there = line.element_dict
-    names = [name for name in line.element_names if type(there[name]).__name__.startswith("SpaceCharge")]
+    elements_by_name = line.element_dict
+    names = [name for name in line.element_names if type(elements_by_name[name]).__name__.startswith("SpaceCharge")]
     if not names:
         raise InputError("the line has no elements of space charge; call xfields.install_spacecharge_frozen first")
-    made = _sharing([float(there[name].length) for name in names], settings)
+    elements = _sharing([float(elements_by_name[name].length) for name in names], settings)
     line.discard_tracker()
-    for name, element in zip(names, made, strict=True):
+    for name, element in zip(names, elements, strict=True):
         line.env.remove(name)
         line.env.elements[name] = element
-    return made
+    return elements
 
 
 def _sharing(lengths: Sequence[float], settings: dict[str, Any]) -> list[SpaceCharge]:

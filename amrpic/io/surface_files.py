@@ -19,13 +19,13 @@ FILE = "electrodes.vtk"
 
 def write(path: Path, electrodes: Sequence[Electrode], domain: Domain) -> None:
     """Write the surfaces of electrodes in a domain; each quadrilateral has the number of its electrode. Serial; OutputError."""
-    points, faces, owner, known = [np.empty((0, 3))], [np.empty((0, 4), np.int64)], [np.empty(0, np.int64)], 0
+    points, faces, owner, count = [np.empty((0, 3))], [np.empty((0, 4), np.int64)], [np.empty(0, np.int64)], 0
     for number, electrode in enumerate(electrodes):
         corners, quads = quadrilaterals(electrode.shape, domain.lower, domain.upper)
         points.append(corners)
-        faces.append(quads + known)
+        faces.append(quads + count)
         owner.append(np.full(len(quads), number))
-        known += len(corners)
+        count += len(corners)
     place, quads, of = np.concatenate(points), np.concatenate(faces), np.concatenate(owner)
     names = ", ".join(f"{number} {electrode.name}" for number, electrode in enumerate(electrodes))
     rows = np.concatenate([np.full((len(quads), 1), 4), quads], axis=1)

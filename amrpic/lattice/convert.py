@@ -60,9 +60,9 @@ def converted(line: Beamline, reference: LatticeReference, settings: LatticeSett
     out = Converted(reference, placed, frame)
     missing = [problem for element in placed for problem in _missing(element)]
     if missing and not settings.drift_for_missing:
-        others = f", and {len(missing) - 1} more" if len(missing) > 1 else ""
+        further = f", and {len(missing) - 1} more" if len(missing) > 1 else ""
         raise InputError(
-            f'{missing[0]}{others}; set missing = "drift" in [lattice] to leave out what has no counterpart'
+            f'{missing[0]}{further}; set missing = "drift" in [lattice] to leave out what has no counterpart'
         )
     names: set[str] = set()
     for element in placed:

@@ -65,9 +65,9 @@ def of_xtrack(line: Any) -> Beamline:
 def _species(mass: float, charge: float) -> Species:
     """Return one by its rest energy (eV) and its elementary charges."""
     kilograms = mass * ELEMENTARY_CHARGE / SPEED_OF_LIGHT**2
-    for one in SPECIES.values():
-        if abs(one.mass / kilograms - 1) < SAME and abs(one.charge / ELEMENTARY_CHARGE - charge) < SAME:
-            return one
+    for species in SPECIES.values():
+        if abs(species.mass / kilograms - 1) < SAME and abs(species.charge / ELEMENTARY_CHARGE - charge) < SAME:
+            return species
     return Species(name="reference", charge=charge * ELEMENTARY_CHARGE, mass=kilograms)
 
 
@@ -106,12 +106,12 @@ def _bend(name: str, of: Mapping[str, Any], shared: dict[str, Any]) -> LatticePi
     parallel = angle / 2 if shared["called"] == "RBend" else 0.0
     faces = tuple(parallel + float(of.get(f"edge_{end}_angle", 0.0)) for end in ("entry", "exit"))
     h = angle / length if length else 0.0
-    given = of.get("k0") if of.get("k0_from_h") in (None, False) else None
+    strength = of.get("k0") if of.get("k0_from_h") in (None, False) else None
     normal, skew = _multipoles({**of, "k0": 0.0}, length)
     integrals = tuple(
         2 * float(of.get(f"edge_{end}_fint", 0.0)) * float(of.get(f"edge_{end}_hgap", 0.0)) for end in ("entry", "exit")
     )
-    curvature = h if given is None or isinstance(given, str) else float(given)
+    curvature = h if strength is None or isinstance(strength, str) else float(strength)
     of_bend: dict[str, Any] = {"angle": angle, "faces": faces, "curvature": curvature, "edge_integrals": integrals}
     return LatticePiece(name, "bend", normal=normal, skew=skew, **of_bend, **shared)
 

@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from ..arithmetic import number
 from ..errors import InputError
@@ -81,8 +81,8 @@ class _File:
             elif name in ("include", "load", "set", "sets", "superimpose", "controllers", "controller"):
                 self.refuse(f"{name} is not understood; expand the lattice before")
 
-    def refuse(self, what: str) -> None:
-        raise InputError(f"lattice {self.file}: {what}")
+    def refuse(self, mistake: str) -> NoReturn:
+        raise InputError(f"lattice {self.file}: {mistake}")
 
     def number(self, written: Any, where: str) -> float:
         return number(written, f"lattice {self.file}: {where}", self.names)
@@ -107,7 +107,6 @@ class _File:
         definition = self.definitions.get(name)
         if definition is None:
             self.refuse(f"there is no line {name!r}; name one of {', '.join(self.definitions) or 'none'}")
-        assert definition is not None
         if definition.get("kind") != "Lattice":
             return name
         branches = definition.get("branches") or []
@@ -125,7 +124,6 @@ class _File:
             if keys is None or isinstance(keys, Mapping):
                 return str(name), keys or {}
         self.refuse(f"{within} has the item {item!r:.60}; give a name, or a name with keys below")
-        raise AssertionError
 
     def resolved(self, name: str, keys: Definition, depth: int = 0) -> Definition:
         """Return a definition with what it inherits; groups are merged key by key."""
@@ -135,7 +133,6 @@ class _File:
         base = self.definitions.get(str(of))
         if base is None or depth > DEEPEST:
             self.refuse(f"{name} is {of!r}, which is not defined")
-        assert base is not None
         below = self.resolved(str(of), base, depth + 1) if base is not keys else base
         merged = dict(below)
         for key, value in keys.items():
@@ -158,12 +155,12 @@ class _File:
             label, keys = self.item(item, name)
             if "placement" in keys:
                 self.refuse(f"{label} in {name} has a placement, which is not understood; put drifts before it")
-            one = self.resolved(label, keys)
+            element = self.resolved(label, keys)
             repeat = int(self.number(keys.get("repeat", 1), f"repeat of {label}"))
             backwards = reversed_ != (self.number(keys.get("direction", 1), f"direction of {label}") < 0)
             for _ in range(abs(repeat)):
-                if one.get("kind") != "BeamLine":
-                    yield label, one, backwards
+                if element.get("kind") != "BeamLine":
+                    yield label, element, backwards
                     continue
                 inner = str(keys.get("inherit", label))
                 members = list(self.expanded(inner, backwards, depth + 1))
@@ -178,19 +175,19 @@ class _File:
     def reference(self, begin: Definition) -> tuple[Species | None, float | None]:
         of = begin.get("ReferenceP") or {}
         name = str(of.get("species_ref", "")).lstrip("#")
-        species = next((one for label, one in SPECIES.items() if label.lower() == name.lower()), None)
+        species = next((member for label, member in SPECIES.items() if label.lower() == name.lower()), None)
         if name and species is None:
             self.refuse(f"species_ref is {name!r}; use one of {', '.join(SPECIES)}, or give species in [lattice]")
         if species is None:
             return None, None
-        rest = species.mass * SPEED_OF_LIGHT**2 / ELEMENTARY_CHARGE  # eV
+        rest_energy = species.mass * SPEED_OF_LIGHT**2 / ELEMENTARY_CHARGE  # eV
         if "pc_ref" in of:
             pc = self.number(of["pc_ref"], "pc_ref")
         elif "E_tot_ref" in of:
             total = self.number(of["E_tot_ref"], "E_tot_ref")
-            if not total > rest:
-                self.refuse(f"E_tot_ref is {total:g} eV, of a {name} of {rest:g} eV; give the total energy")
-            pc = math.sqrt(total**2 - rest**2)
+            if not total > rest_energy:
+                self.refuse(f"E_tot_ref is {total:g} eV, of a {name} of {rest_energy:g} eV; give the total energy")
+            pc = math.sqrt(total**2 - rest_energy**2)
         else:
             return species, None
         return species, pc * ELEMENTARY_CHARGE / SPEED_OF_LIGHT
@@ -253,7 +250,6 @@ class _Element:
             self.file.refuse(
                 f"{key} of {self.name} is a field, but no BeginningEle says species and momentum (ReferenceP)"
             )
-        assert self.rigidity is not None
         return strength / self.rigidity
 
     def multipoles(self, length: float) -> dict[str, Any]:
@@ -296,15 +292,15 @@ class _Element:
         multipoles = self.multipoles(length)
         if multipoles.pop("tilt", 0.0):
             lacking += ("a tilted multipole",)
-        more = multipoles["normal"].pop(0, 0.0)
+        dipole = multipoles["normal"].pop(0, 0.0)
         if multipoles["skew"].pop(0, 0.0):
             lacking += ("a field in the plane of the bend",)
-        curvature = (angle / length if length else 0.0) + more
+        curvature = (angle / length if length else 0.0) + dipole
         tilt = self.number("tilt_ref", of, 0.0)
         entrance, exit = (2 * self.number(f"edge{end}_int", of, 0.0) for end in (1, 2))  # of half a gap there
         integrals = (exit, entrance) if self.backwards else (entrance, exit)
-        made = replace(piece, kind="bend", length=length, angle=angle, faces=faces, tilt=tilt, curvature=curvature)
-        return replace(made, lacking=lacking, edge_integrals=integrals, **multipoles)
+        bend = replace(piece, kind="bend", length=length, angle=angle, faces=faces, tilt=tilt, curvature=curvature)
+        return replace(bend, lacking=lacking, edge_integrals=integrals, **multipoles)
 
     def shape(self, length: float, of: Definition) -> tuple[float, float]:
         """Return length and angle, of which two of length, angle and curvature are given."""
@@ -357,7 +353,6 @@ class _Element:
         )
         if zero is None:
             self.file.refuse(f"{self.name} has the zero_phase {of['zero_phase']!r}, which is not understood")
-        assert zero is not None
         voltage = self.number("voltage", of, 0.0) or self.number("gradient", of, 0.0) * piece.length
         phase = 2 * math.pi * (self.number("phase", of, 0.0) + zero)
         return replace(piece, kind="cavity", voltage=voltage, frequency=self.number("frequency", of, 0.0), phase=phase)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,11 @@ Array = NDArray[Any]
 def cells_of(boxes: Array) -> Array:
     """Return the number of cells of each box."""
     return np.prod(boxes[:, 3:].astype(np.int64) - boxes[:, :3] + 1, axis=1)
+
+
+def all_cells(boxes: Sequence[Array]) -> int:
+    """Return how many cells the boxes of all levels have."""
+    return sum(int(cells_of(level).sum()) for level in boxes)
 
 
 def each_cell(boxes: Array) -> tuple[Array, Array]:

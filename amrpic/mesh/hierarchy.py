@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import copy
 import operator
 from collections.abc import Callable, Sequence
 from functools import cached_property, partial
-from typing import cast
 
 import numpy as np
 
@@ -15,7 +13,7 @@ from ..conductors.conductor import Conductor
 from ..conductors.refined import beside_edges, beside_surfaces
 from ..errors import HierarchyError, InputError
 from ..mpi import MPI
-from ..parallel import Communicator, VirtualRank, own, together, world_by_default
+from ..parallel import own, together, world_by_default
 from ..units import quantity
 from .boxes import cells_of, table_of
 from .domain import BOUNDARIES, Domain
@@ -76,9 +74,6 @@ class Hierarchy:
     Boxes start on multiples of the blocking factor and have a multiple of it, or end at the domain's upper face. Levels with
     the boxes of an `earlier` hierarchy share what is known of them, and are not checked again.
 
-    With a VirtualRank in place of the communicator nothing is collective: boxes, owners and plans of exchanges are those
-    that this rank of so many would have, and all that would be sent is only counted.
-
     `comm` may be left out: all ranks. Raises HierarchyError on all ranks for boxes that overlap, leave the domain, are not
     aligned so, or do not nest.
     """
@@ -86,7 +81,7 @@ class Hierarchy:
     @world_by_default
     def __init__(
         self,
-        comm: MPI.Comm | VirtualRank,
+        comm: MPI.Comm,
         domain: Domain,
         levels: Sequence[Sequence[Sequence[Sequence[int]]] | np.ndarray] = (),
         max_grid_size: int = 24,
@@ -98,7 +93,7 @@ class Hierarchy:
         self.max_grid_size = _whole(max_grid_size, "max_grid_size")
         self.blocking_factor = _whole(blocking_factor, "blocking_factor")
         codes = [BOUNDARIES.index(face) for faces in domain.boundary for face in faces]
-        self.comm = cast(Communicator, comm) if isinstance(comm, VirtualRank) else own(comm)
+        self.comm = own(comm)
         shared = None if earlier is None else earlier.native
         try:
             self.native: _native.Hierarchy = _native.Hierarchy(
@@ -152,21 +147,6 @@ class Hierarchy:
             boxes = _native.refine(hierarchy.native, marks, [], most + 1, buffer, NESTING, EFFICIENCY)
             hierarchy = cls(comm, domain, boxes, max_grid_size, blocking_factor, earlier=hierarchy)
         return hierarchy
-
-    def seen_by(self, rank: int) -> Hierarchy:
-        """Return the hierarchy of a virtual rank as another virtual rank of as many has it. Local.
-
-        Much faster than to make it anew. HierarchyError if the ranks are real.
-        """
-        out = copy.copy(self)
-        for follows in ("particle_mesh", "own_cells"):
-            out.__dict__.pop(follows, None)
-        try:
-            out.native = self.native.seen_by(rank)
-        except _native.HierarchyError as refused:
-            raise HierarchyError(str(refused)) from None
-        out.comm = cast(Communicator, VirtualRank(rank, self.comm.size))
-        return out
 
     @cached_property
     def particle_mesh(self) -> _native.ParticleMesh:

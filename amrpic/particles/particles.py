@@ -169,10 +169,6 @@ class Particles:
         """Whether the weights are one number that is repeated."""
         return self.weight.strides == (0,)
 
-    def one_weight_and_most(self, comm: MPI.Comm) -> tuple[float | None, int]:
-        """The same as the function of all."""
-        return one_weight_and_most(comm, [self])
-
     def with_own_weights(self) -> Particles:
         """The same particles, with memory for the weight of each even if all are equal."""
         if not self.equal_weights:
@@ -238,7 +234,7 @@ def cut(parts: list[Particles], number: int) -> list[Particles]:
         arrays.clear()
         ends = [len(whole) * n // number for n in range(number + 1)]
         slices = [whole[begin:end] for begin, end in itertools.pairwise(ends)]
-        pieces.append([joined([one]) for one in slices] if number > 1 else slices)
+        pieces.append([joined([portion]) for portion in slices] if number > 1 else slices)
         del whole, slices
     positions, momenta, weights, ids = pieces
     return [Particles(*of, species) for of in zip(positions, momenta, weights, ids, strict=True)]
@@ -257,9 +253,9 @@ def emptied(parts: list[Particles]) -> tuple[list[list[np.ndarray]], SpeciesTabl
 
 def joined(arrays: Sequence[np.ndarray]) -> np.ndarray:
     """A copy of the values of all arrays, in order, as `Particles` holds them; one number that is repeated stays one."""
-    count, given = sum(map(len, arrays)), [array for array in arrays if len(array) > 0]
-    if given and all(array.strides == (0,) for array in given) and len({array[0] for array in given}) == 1:
-        return np.broadcast_to(given[0][0], count)
+    count, filled = sum(map(len, arrays)), [array for array in arrays if len(array) > 0]
+    if filled and all(array.strides == (0,) for array in filled) and len({array[0] for array in filled}) == 1:
+        return np.broadcast_to(filled[0][0], count)
     out = empty_columns(count) if arrays[0].ndim == 2 else recycled(count, arrays[0].dtype.type)
     return np.concatenate(arrays, out=out)
 

@@ -35,13 +35,13 @@ class Species:
             raise ParticleError(f"the mass of a species is {self.mass} kg; give a positive number")
 
     def _become_known(self) -> None:
-        known = SPECIES.get(self.name)
-        if known is None:
+        constants = SPECIES.get(self.name)
+        if constants is None:
             raise ParticleError(
                 f'the species "{self.name}" has neither charge nor mass; give both, or one of the names {", ".join(SPECIES)}'
             )
-        object.__setattr__(self, "charge", known.charge)
-        object.__setattr__(self, "mass", known.mass)
+        object.__setattr__(self, "charge", constants.charge)
+        object.__setattr__(self, "mass", constants.mass)
 
     def weight(self, charge: float, count: int) -> float:
         """Real particles that each of `count` macroparticles stands for if they carry `charge` (C) together."""

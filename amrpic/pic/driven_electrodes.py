@@ -39,10 +39,10 @@ def obstacles_of(comm: MPI.Comm, scene: Scene, electrodes: Sequence[Electrode]) 
     """
     of_any_shape = any(isinstance(aperture, SolidAperture) for aperture in scene.apertures)
     solids = from_rank_0(comm, partial(make_solids, scene), InputError) if of_any_shape else {}
-    known = {**solids, **{electrode.name: electrode for electrode in electrodes}}
+    conductors = {**solids, **{electrode.name: electrode for electrode in electrodes}}
     pairs = zip(aperture_names(scene.apertures), scene.apertures, strict=True)
     apertures = [
-        native_aperture(aperture) if isinstance(aperture, Aperture) and not aperture.field else known[name]
+        native_aperture(aperture) if isinstance(aperture, Aperture) and not aperture.field else conductors[name]
         for name, aperture in pairs
     ]
     return [*apertures, *electrodes[: len(scene.electrodes)]]

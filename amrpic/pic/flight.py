@@ -57,13 +57,13 @@ def place(bunches: list[Particles], base: Hierarchy, window: Window, start: floa
     counted = [weights(bunch, base) for bunch in bunches]
     servers = share_out(setup.comm, *(np.concatenate(column) for column in zip(*counted, strict=True)))
     lost, portions = Record.empty(species, causes(scene)), []
-    for made in _portions(setup.comm, bunches):
-        here, outside, _ = migrate_without(made, base, NONE, servers)
-        portions.append(here)
-        left = Flights(made.position, made.position, base.domain, window, window).exits(outside)
-        momentum = window.to_laboratory(made.momentum[outside])
-        lost = lost.joined(_record(left, momentum, made, np.full(len(left), start), causes(scene)))
-        del made, here  # else they live beside what follows
+    for portion in _portions(setup.comm, bunches):
+        inside, outside, _ = migrate_without(portion, base, NONE, servers)
+        portions.append(inside)
+        left = Flights(portion.position, portion.position, base.domain, window, window).exits(outside)
+        momentum = window.to_laboratory(portion.momentum[outside])
+        lost = lost.joined(_record(left, momentum, portion, np.full(len(left), start), causes(scene)))
+        del portion, inside  # else they live beside what follows
     particles = portions[0] if len(portions) == 1 else arranged(portions, base, servers)
     screens = Record.empty(species, [screen.name for screen in scene.screens])
     return Arrived(particles, lost, screens, Tallies.of_scene(scene))
@@ -174,5 +174,5 @@ def _require_followable(comm: MPI.Comm, flights: Flights) -> None:
 def _record(
     met: Encounters, momentum: np.ndarray, particles: Particles, time: np.ndarray, names: Sequence[str]
 ) -> Record:
-    there = particles.select(met.flight).replace(met.place, momentum)
-    return Record(there, time, met.direction, met.what, tuple(names))
+    struck = particles.select(met.flight).replace(met.place, momentum)
+    return Record(struck, time, met.direction, met.what, tuple(names))

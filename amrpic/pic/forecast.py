@@ -119,10 +119,6 @@ def _between(tried: float, cells: float, factor: int) -> float:
     return float(tried * (cells / tried) ** (1 / math.log2(2 * factor)))
 
 
-def _base(scene: Scene) -> int:
-    return math.prod(scene.domain.cells)
-
-
 def _in_time(comm: MPI.Comm, expected: float, end: float) -> bool:
     """Return whether what is expected to take so long, s, is done before the end. Collective."""
     return comm.bcast(time.perf_counter() + MARGIN * expected < end)
@@ -131,7 +127,7 @@ def _in_time(comm: MPI.Comm, expected: float, end: float) -> bool:
 def _coarser(scene: Scene, factor: int) -> Scene:
     """Return a scene on so many times as wide base cells, with fewer particles in proportion."""
     cells = tuple(max(number // factor, min(number, FEWEST_CELLS)) for number in scene.domain.cells)
-    share = math.prod(cells) / _base(scene)
+    share = math.prod(cells) / math.prod(scene.domain.cells)
     bunches = []
     for bunch in scene.bunches:
         if isinstance(bunch, Train):

@@ -46,15 +46,15 @@ def gather_and_push(
         return Staggered(particles, particles, course)
     drifts_first = motion.form == "drift-kick-drift" and step == 0
     after, flight = (0.0, dt / 2) if drifts_first else (dt / 2, dt)
-    then = course.after(flight, time, setup.external, _pusher(solution, setup))
+    later = course.after(flight, time, setup.external, _pusher(solution, setup))
     with setup.clock("push"):
         by_e_alone = solution.frames.only == LABORATORY and not setup.scene.elements and not fields
         between = None if by_e_alone else empty_columns(len(particles))
         external = setup.external.seen_from(course.window).native if setup.scene.elements else None
         of_fields = fields.at(particles, time, course.window) if fields else None
-        shift = course.window.shift_to(then.window)
+        shift = course.window.shift_to(later.window)
         moved = _push(solution, particles, lag, after, flight, setup, between, external, of_fields, time, shift)
-    return Staggered(particles, moved, then, lag, flight, between, dt)
+    return Staggered(particles, moved, later, lag, flight, between, dt)
 
 
 def kick(solution: Solution, particles: Particles, staggered: Staggered, setup: Setup) -> Particles:

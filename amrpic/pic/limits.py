@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..errors import SceneError
 from ..external import ExternalFields
-from ..mesh.boxes import Array, cells_of
+from ..mesh.boxes import Array, all_cells
 from ..mpi import MPI
 from ..parallel import global_max, global_sum, node_of, raise_together
 from ..run.machine import available_memory, resident
@@ -26,7 +26,7 @@ def memory_error(
     if need <= available:
         return None
     return (
-        f"{where}: {_cells(boxes)} cells and {particles} particles on {ranks} ranks take about {need / 2**30:.3g} GiB of "
+        f"{where}: {all_cells(boxes)} cells and {particles} particles on {ranks} ranks take about {need / 2**30:.3g} GiB of "
         f"memory, and {available / 2**30:.3g} GiB are free; use fewer cells or particles, or more machines"
     )
 
@@ -68,11 +68,11 @@ def require_room(
     if nothing is known. The message names the rank that needs most where memory falls short.
     """
     if own_share is None:
-        own_share = Share(comm.rank, math.ceil(_cells(boxes) / comm.size), math.ceil(particles / comm.size))
+        own_share = Share(comm.rank, math.ceil(all_cells(boxes) / comm.size), math.ceil(particles / comm.size))
     node, need = node_of(comm), rank_memory(scene, boxes, particles, comm.size, own_share)
     free = available_memory() if node.rank == 0 else 0
     needs, room = (global_sum(node, value) for value in (need, free + resident()))
-    problem = rank_cells_error(_cells(boxes), comm.size, where)
+    problem = rank_cells_error(all_cells(boxes), comm.size, where)
     if problem is None and needs > room and need == global_max(node, need):
         problem = (
             f"{where}: rank {comm.rank} takes about {need / 2**30:.3g} GiB of memory for {own_share.cells} cells and "
@@ -86,11 +86,7 @@ def _refuse(
     scene: Scene, boxes: Sequence[Array], particles: int, ranks: int, available: int | None, where: str
 ) -> None:
     free = available_memory() if available is None else available
-    problem = rank_cells_error(_cells(boxes), ranks, where)
+    problem = rank_cells_error(all_cells(boxes), ranks, where)
     problem = problem or memory_error(scene, boxes, particles, ranks, free, where)
     if problem is not None:
         raise SceneError(f"{scene.name}: {problem}")
-
-
-def _cells(boxes: Sequence[Array]) -> int:
-    return sum(int(cells_of(level).sum()) for level in boxes)

@@ -63,9 +63,9 @@ def incidence(lost: Record, electrodes: Sequence[Electrode]) -> np.ndarray:
         size = np.abs(place[hit]).max(initial=0.0)
         with np.errstate(divide="ignore", invalid="ignore"):
             step = NEAR * size * momentum[hit] / np.linalg.norm(momentum[hit], axis=1)[:, None]
-        known = np.isfinite(step).all(axis=1)
-        hits = first_hits([electrode], (place[hit] - step)[known], (place[hit] + step)[known])
-        out[hit[known][hits.segment]] = np.arccos(np.clip(hits.cosine, 0.0, 1.0))
+        recorded = np.isfinite(step).all(axis=1)
+        hits = first_hits([electrode], (place[hit] - step)[recorded], (place[hit] + step)[recorded])
+        out[hit[recorded][hits.segment]] = np.arccos(np.clip(hits.cosine, 0.0, 1.0))
     return out
 
 

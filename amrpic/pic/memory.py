@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..io.writer_ranks import buffer_bytes, group_of, writers_of
-from ..mesh.boxes import Array, cells_of
+from ..mesh.boxes import Array, all_cells
 from ..run.machine import MIB
 from ..scene.bunches import Train
 from ..scene.scene import Scene
@@ -29,7 +29,6 @@ VARYING = 32  # of a cell, for each electrode whose voltage varies: potential an
 # Of a cell and of a particle, by how these move: as they are before and after a step, and on their way.
 ONE_SOLVE = 68, 100
 MOVING = {"none": (80, 100), "leapfrog": (92, 215), "random-walk": (76, 280)}
-PLACING = 112  # of a particle while they are made and brought to their ranks
 WRITTEN = 40, 72  # of a cell, and a particle, in the largest file
 
 
@@ -52,7 +51,7 @@ def run_memory(
     """
     quiet = any(isinstance(bunch, Train) and bunch.sampling != "random" for bunch in scene.bunches)
     of_cell, of_particle = ONE_SOLVE if scene.schedule.last_step == 0 else MOVING[scene.motion.kind]
-    cells = _cells(boxes)
+    cells = all_cells(boxes)
     groups = _groups(scene, cells, particles, ranks)
     floats = any(electrode.charge is not None for electrode in scene.electrodes)
     varying = sum(isinstance(electrode.voltage, str) for electrode in scene.electrodes)
@@ -74,7 +73,7 @@ def rank_memory(scene: Scene, boxes: Sequence[Array], particles: int, ranks: int
 
     Rank 0 draws, from what each rank rasters; writers hold what is on its way into files.
     """
-    parts, cells = run_memory(scene, boxes, particles, ranks), _cells(boxes)
+    parts, cells = run_memory(scene, boxes, particles, ranks), all_cells(boxes)
     group = group_of(_groups(scene, cells, particles, ranks), own_share.rank)
     of_files = _buffers(scene, particles, group) if own_share.rank == group.start else 0
     of_pictures = RASTER + (_drawing(scene) if own_share.rank == 0 else 0) if parts["pictures"] else 0
@@ -87,10 +86,6 @@ def rank_memory(scene: Scene, boxes: Sequence[Array], particles: int, ranks: int
 def base_boxes(scene: Scene) -> list[Array]:
     """Return the base level alone, as one box."""
     return [np.array([[0, 0, 0, *(n - 1 for n in scene.domain.cells)]])]
-
-
-def _cells(boxes: Sequence[Array]) -> int:
-    return sum(int(cells_of(level).sum()) for level in boxes)
 
 
 def _drawing(scene: Scene) -> int:

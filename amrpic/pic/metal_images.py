@@ -40,16 +40,16 @@ def check_images(beam: MeshedParticles, solution: Solution, step: int, setup: Se
         setup.remarks.note("electrodes are uniform along the motion, so that images of the charge move with it")
         return
     share, axis = fields / own, AXES[frames.axis]
-    said = f"electrodes are not uniform along the motion: about {share:.1%} of the force is neglected"
-    setup.remarks.note(f"{said} at step {step}") if step == 0 else None
+    remark = f"electrodes are not uniform along the motion: about {share:.1%} of the force is neglected"
+    setup.remarks.note(f"{remark} at step {step}") if step == 0 else None
     if share > MOST:
         raise InputError(
-            f"{said} at step {step}, more than an estimate holds for: images in surfaces across {axis} do not move with the "
+            f"{remark} at step {step}, more than an estimate holds for: images in surfaces across {axis} do not move with the "
             "charge; leave such surfaces out, or enlarge the holes in them"
         )
     if share > LARGE:
         setup.remarks.remark(
-            f"{said} at step {step}, since images in surfaces across {axis} do not move with the charge, as the solve takes "
+            f"{remark} at step {step}, since images in surfaces across {axis} do not move with the charge, as the solve takes "
             "them to; codes that solve Maxwell's equations follow them",
             "images beside electrodes",
         )

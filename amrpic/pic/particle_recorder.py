@@ -109,9 +109,9 @@ class ParticleRecorder(Recorder[State]):
         if self._beam is not None:
             self._beam.record_now(state)
         if self._sources is not None:
-            given = emission_map.rows(self._scene, self._setup.emitters, state.tallies.of)
+            rows = emission_map.rows(self._scene, self._setup.emitters, state.tallies.of)
             path = self._scene.directory / emission_map.EMISSION
-            time_series.write(self._comm, path, emission_map.COLUMNS, list(given), self._about)
+            time_series.write(self._comm, path, emission_map.COLUMNS, list(rows), self._about)
 
     def _remarks(self, state: State) -> Iterable[str]:
         yield from super()._remarks(state)

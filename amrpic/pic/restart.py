@@ -54,8 +54,6 @@ OF_IMAGES = "_of_images"  # behind a name: of images of the charge in walls acro
 BEFORE = "phi_before"  # that of the step before, where solves start from both
 UNITS = {"rho": "C/m^3", "phi": "V", "efield": "V/m", "bfield": "T"}
 COLUMNS = ("position", "momentum", "weight", "id")
-ROW_BYTES = (24, 24, 8, 8)  # of each column
-LAGGING_BYTES = 24  # of the momenta that leapfrog keeps beside them
 RECORDED = ("time", "direction", "cause")  # beside them, of particles in a record
 # Parts of a scene that a restart follows from the next step on.
 FOLLOWED = (
@@ -127,16 +125,15 @@ def load(
         )
     by_auto = header.extra["compensation_by_auto"] if scene is None else scene.particles.compensation == "auto"
     scene = scene if scene is not None else Scene.from_dict(header.about.scene, source=f"the scene in {path}")
-    if scene.particles.interface == "auto":
-        scene = scene.with_interface(header.about.scene["particles"]["interface"])
-    if scene.particles.compensation == "auto":
-        scene = scene.with_compensation(header.about.scene["particles"]["compensation"])
+    for key in ("interface", "compensation"):
+        if getattr(scene.particles, key) == "auto":
+            scene = scene.with_clouds(**{key: header.about.scene["particles"][key]})
     _require_same_domain(scene, header, path)
     require_room(comm, scene, header.boxes, sum(contents.rows["particles"]), f"checkpoint {path}")
     domain, sizes = _mesh_of(header)
     stored = Hierarchy(comm, domain, list(header.boxes[1:]), *sizes, base=header.boxes[0])
     owners = [stored.owners(level) for level in range(stored.levels)]
-    held = read(comm, path, lambda _: owners, contents)
+    snapshot = read(comm, path, lambda _: owners, contents)
     setup = replace(set_up(comm, scene, fields), compensation_by_auto=by_auto)
     for remark in _remarks(scene, header) + _remarks_on_fields(setup.fields.names, header.extra["fields"]):
         setup.remarks.remark(remark)
@@ -146,7 +143,7 @@ def load(
         hierarchy = Hierarchy(comm, domain, list(header.boxes[1:]), *sizes)
     else:
         hierarchy = stored
-    return _state(setup, held, stored, hierarchy)
+    return _state(setup, snapshot, stored, hierarchy)
 
 
 def _mesh_of(header: Header) -> tuple[Domain, tuple[int, int]]:
@@ -162,29 +159,29 @@ def _mesh_is_another(scene: Scene, header: Header) -> bool:
     return (scene.domain.value, (refinement.max_grid_size, refinement.blocking_factor)) != _mesh_of(header)
 
 
-def _state(setup: Setup, held: Snapshot, stored: Hierarchy, hierarchy: Hierarchy) -> tuple[State, Setup]:
-    extra = held.header.extra
+def _state(setup: Setup, snapshot: Snapshot, stored: Hierarchy, hierarchy: Hierarchy) -> tuple[State, Setup]:
+    extra = snapshot.header.extra
     species = with_sources(SpeciesTable.from_dict(extra["species"]).runs, setup.scene)
-    columns, lag = held.tables["particles"], extra["lag"]
+    columns, lag = snapshot.tables["particles"], extra["lag"]
     if lag > 0 and setup.scene.motion.follows_fields:
         columns = {**columns, "momentum": columns["lagging_momentum"]}
     else:
         lag = 0.0
     servers = np.array(extra["servers"], dtype=np.int64)  # of the ranks that wrote the checkpoint
     same_ranks = len(servers) == setup.comm.size + 1
-    another = _mesh_is_another(setup.scene, held.header)
+    another = _mesh_is_another(setup.scene, snapshot.header)
     particles, _ = migrate(_particles(columns, species), hierarchy, servers if same_ranks and not another else None)
-    fields = {name: Field(stored, UNITS[name.split("_")[0]]) for name in held.fields}
-    options = SolverOptions(order=held.header.about.scene["solver"]["order"])
+    fields = {name: Field(stored, UNITS[name.split("_")[0]]) for name in snapshot.fields}
+    options = SolverOptions(order=snapshot.header.about.scene["solver"]["order"])
     for name, field in fields.items():
         field.holds = options.potential_holds if name.startswith("phi") else "points"
-        for level, values in enumerate(held.fields[name]):
+        for level, values in enumerate(snapshot.fields[name]):
             field.array(level)[:] = values
     if hierarchy is not stored and not another:
         fields = {name: carry_over(field, hierarchy) for name, field in fields.items()}
     course = Course.from_dict(extra["course"]).on_base_of(setup.scene, setup.emitters)
-    step, time = held.header.step, held.header.time
-    lost, screens = (_recorded(held.tables[of], species, extra["names"][of]) for of in ("lost", "screens"))
+    step, time = snapshot.header.step, snapshot.header.time
+    lost, screens = (_recorded(snapshot.tables[of], species, extra["names"][of]) for of in ("lost", "screens"))
     drive = setup.solvers.drive = setup.drive(time, course.window, lost)
     last = _solution(setup, fields, extra)
     beam, solution = MeshedParticles(particles, hierarchy, last.frames, drive=drive), last
@@ -194,7 +191,7 @@ def _state(setup: Setup, held: Snapshot, stored: Hierarchy, hierarchy: Hierarchy
         solution = solve(beam, deposit(beam, setup), last, setup)
     else:
         solution = with_layers(solution, particles, setup)
-    if held.header.about.scene["motion"].get("dt") == "auto" and math.isnan(setup.dt):
+    if snapshot.header.about.scene["motion"].get("dt") == "auto" and math.isnan(setup.dt):
         setup = replace(setup, dt=extra["dt"])
     if setup.dt != extra["dt"]:
         setup = with_time_step(setup, beam, solution, course)
@@ -322,10 +319,10 @@ def _remarks_on_fields(names: Sequence[str], before: Sequence[str]) -> list[str]
     """Return that fields from Python are others than before, if they are."""
     if names == before:
         return []
-    now, then = (", ".join(given) or "none" for given in (names, before))
+    now, earlier = (", ".join(texts) or "none" for texts in (names, before))
     return [
-        f"fields from Python are {now}, and were {then} up to the checkpoint; give Simulation.restart the same ones to go on "
-        "as before"
+        f"fields from Python are {now}, and were {earlier} up to the checkpoint; give Simulation.restart the same ones to go "
+        "on as before"
     ]
 
 

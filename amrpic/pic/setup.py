@@ -128,7 +128,7 @@ def _with_interface(setup: Setup, bunches: Sequence[Particles]) -> Scene:
     if levels > 0:
         why = "a bunch has at most" if few else "every bunch has more than"
         setup.remarks.note(f"particles.interface: {kind} clouds, because {why} {EQUAL_PARTICLES} (σ/h)² particles")
-    return scene.with_interface(kind)
+    return scene.with_clouds(interface=kind)
 
 
 def _with_compensation(scene: Scene, bunches: Sequence[Particles], setup: Setup) -> Scene:
@@ -146,7 +146,7 @@ def _with_compensation(scene: Scene, bunches: Sequence[Particles], setup: Setup)
         setup.remarks.note(
             f"particles.compensation: {kind}, because {why} {PAYING[shape]} (σ/h)² particles per cell where it is densest"
         )
-    return scene.with_compensation(kind)
+    return scene.with_clouds(compensation=kind)
 
 
 def _holds(bunch: Particles, law: Callable[[float, np.ndarray], bool], setup: Setup) -> bool:

@@ -132,7 +132,7 @@ def superposed(
         add_magnetic(magnetic, efield, frame.beta)
     reports = [of_part[3] for of_part in parts]
     report = max(reports, key=lambda report: report.cycles)
-    charges = {name: sum(each.charges[name] for each in reports) for name in report.charges}
+    charges = {name: sum(part.charges[name] for part in reports) for name in report.charges}
     report = replace(report, charges=charges)
     return Solution(rho, phi, electric, report, frames, tuple(of_part[1] for of_part in parts), magnetic, walls=walls)
 

@@ -241,12 +241,12 @@ def _away(setup: Setup, particles: Particles, course: Course, ahead: float) -> l
     if math.isinf(ahead):
         return [0.0] * len(elements)
     between = from_rank_0(setup.comm, lambda: fields_between(elements), InputError)  # reads maps
-    places, none = course.window.places(particles.position), sys.float_info.max
+    places, unlimited = course.window.places(particles.position), sys.float_info.max
     out = np.zeros((len(elements), 2))
     for far, element, (first, last) in zip(out, elements, between, strict=True):
         x, _, z = ((places - element.centre) @ np.array(axes(element.direction, element.roll)).T).T
         rise = np.abs(slopes(element)).max() * np.abs(x).max(initial=0.0)
-        far[:] = z.min(initial=none) - last - rise, first - rise - z.max(initial=-none)
+        far[:] = z.min(initial=unlimited) - last - rise, first - rise - z.max(initial=-unlimited)
     setup.comm.Allreduce(MPI.IN_PLACE, out, MPI.MIN)
     return np.maximum(out.max(axis=1, initial=0.0) - ahead, 0.0).tolist()
 

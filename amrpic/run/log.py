@@ -9,8 +9,7 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Mapping
 from datetime import timedelta
-from types import TracebackType
-from typing import Literal, TextIO
+from typing import Any, Literal, TextIO
 
 from ..failure import discard, printable
 from ..mpi import MPI
@@ -54,10 +53,8 @@ class RunLog:
         warnings.showwarning = lambda message, *_args, **_options: self.warn(str(message))
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._catching.__exit__(kind, value, trace)
+    def __exit__(self, *failure: Any) -> None:
+        self._catching.__exit__(*failure)
         for text, times in self.warned.items():
             if times > 1:
                 self._say(f"warning, {times} times in all: {text}", logging.WARNING)

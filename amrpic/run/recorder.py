@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from types import TracebackType
 from typing import Generic, NamedTuple, Protocol, Self, TypeVar
 
 from .. import isa
@@ -149,14 +148,12 @@ class Recorder(ABC, Generic[StateT]):
         self._log.__enter__()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, failure: BaseException | None, trace: object) -> None:
         for table in self._tables():
             table.close()
-        self._log.__exit__(kind, value, trace)
-        if value is not None:
-            self._status.failed(value, self._written)
+        self._log.__exit__(kind, failure, trace)
+        if failure is not None:
+            self._status.failed(failure, self._written)
 
     def state(self, state: StateT) -> None:
         """Record a state: its rows and line, and the files that are due."""

@@ -66,12 +66,12 @@ class AnyScene(Section):
     seed: int = Field(default=1, ge=0, lt=2**63, description="Of all random numbers; the same seed gives the same run.")
 
     @classmethod
-    def from_toml(cls, path: str | os.PathLike[str], overrides: Iterable[str] = (), text: str | None = None) -> Self:
+    def from_toml(cls, path: str | os.PathLike[str], overrides: Iterable[str] = ()) -> Self:
         """Return the scene of a TOML file, with `key.path=value` overrides.
 
-        `text` as for `read_data`. Raises SceneError in one sentence; paths in the file are relative to it.
+        Raises SceneError in one sentence; paths in the file are relative to it.
         """
-        return cls.from_data(read_data(path, overrides, text), path)
+        return cls.from_data(read_data(path, overrides), path)
 
     @classmethod
     def from_data(cls, data: dict[str, Any], path: str | os.PathLike[str]) -> Self:

@@ -16,7 +16,6 @@ from ..particles import distributions
 from ..particles.phase_space import PhasePlane
 from ..units import SPEED_OF_LIGHT
 from .bunches import Train
-from .complaints import complaint
 from .section import Section, refuse_negative
 from .units import Emittance, Length, Length3, Positive3
 
@@ -38,10 +37,7 @@ class TwissPlane(Section):
 
     @model_validator(mode="after")
     def _one_size(self) -> Self:
-        if (self.beta is None) == (self.sigma is None):
-            raise complaint(
-                "must be given, or else sigma", "keep one of the two", path="beta", found=self.beta or "neither"
-            )
+        self.refuse_pair("beta", "sigma")
         if self.sigma == 0 and self.emittance > 0:
             self.refuse("sigma", "is zero although the emittance is not", "give a size")
         return self
@@ -96,11 +92,10 @@ class SizedBunch(Train):
             self.refuse("momentum_spread", "is given as well as twiss, whose emittances give it", "keep one of the two")
         for axis in "xyz":
             if getattr(twiss, axis).beta is not None and not any(self.mean_momentum):
-                raise complaint(
+                self.refuse(
+                    f"twiss.{axis}.beta",
                     "needs a mean momentum, to which it refers",
                     "give momentum or velocity, or sigma in place of beta",
-                    path=f"twiss.{axis}.beta",
-                    found=getattr(twiss, axis).beta,
                 )
 
     @property

@@ -68,11 +68,10 @@ class DescribedBunch(RealParticle, Bunch):
         key = "charge" if self.particle_charge is None else "particle_charge"
         value = getattr(self, key)
         if value is not None and value * self.species.charge < 0:
-            raise complaint(
+            self.refuse(
+                key,
                 f"has the other sign than the {self.species.charge:g} C of its species",
                 f"write {-value:g} or change the species",
-                path=key,
-                found=value,
             )
         if value is not None and self.self_field and self.number > 0 and (value == 0 or self.species.charge == 0):
             where = key if value == 0 else "species.charge"

@@ -18,16 +18,12 @@ def differences(first: Any, second: Any, path: str = "") -> Iterator[tuple[str, 
         isinstance(first, list)
         and isinstance(second, list)
         and len(first) == len(second)
-        and _of_sections(first + second)
+        and all(isinstance(member, dict) for member in first + second)
     ):
         for number, (of_first, of_second) in enumerate(zip(first, second, strict=True)):
             yield from differences(of_first, of_second, f"{path}.{number}")
     elif first != second:
         yield path, first, second
-
-
-def _of_sections(members: list[Any]) -> bool:
-    return all(isinstance(member, dict) for member in members)
 
 
 def require_same(name: str, path: Path, changed: Iterable[tuple[str, Any, Any]]) -> None:

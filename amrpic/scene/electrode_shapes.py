@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
+import operator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import reduce
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import AfterValidator, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, model_validator
-from pydantic_core import CoreSchema, core_schema
+from pydantic import AfterValidator, Field, PlainValidator, WithJsonSchema, model_validator
 
 from .. import shapes
 from ..errors import InputError
@@ -23,17 +23,6 @@ from .section import Section
 from .units import Angle, Length, Length3
 
 
-class DirectionOrAxis:
-    """Annotation of a field that holds a vector of any length but 0, or the name of an axis."""
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return core_schema.no_info_plain_validator_function(_direction)
-
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        vector = {"type": "array", "items": {"type": "number"}, "minItems": 3, "maxItems": 3}
-        return {"anyOf": [{"enum": list(checks.AXES)}, vector]}
-
-
 def _direction(value: Any) -> Any:
     try:
         checks.direction("it", value)
@@ -42,7 +31,11 @@ def _direction(value: Any) -> Any:
     return value if isinstance(value, str) else tuple(map(float, value))
 
 
-Direction = Annotated[Any, DirectionOrAxis()]
+_VECTOR = {"type": "array", "items": {"type": "number"}, "minItems": 3, "maxItems": 3}
+# A vector of any length but 0, or the name of an axis.
+Direction = Annotated[
+    Any, PlainValidator(_direction), WithJsonSchema({"anyOf": [{"enum": list(checks.AXES)}, _VECTOR]})
+]
 Radius = Annotated[Length, Field(gt=0)]
 
 
@@ -62,6 +55,9 @@ def _known_formula(text: str) -> str:
     return text
 
 
+Maker = Callable[..., shapes.Shape]
+
+
 class Turn(Section):
     """A turn of a body, counter-clockwise about an axis through a point."""
 
@@ -73,12 +69,15 @@ class Turn(Section):
 class Body(Section):
     """A body; turned first, and then moved."""
 
+    shape: ClassVar[Maker]  # makes the body of its keys, for one that is told by them alone
+
     turned: Turn | None = Field(default=None, description="How it is turned.")
     moved: Length3 = Field(default=(0.0, 0.0, 0.0), description="By how much it is moved, m.")
 
-    @abstractmethod
     def _as_given(self) -> shapes.Shape:
-        """Return it as it is before it is turned and moved. Raises InputError."""
+        """Return it as it is before it is turned and moved: the `shape` with the keys of this section. Raises InputError."""
+        keys = type(self).model_fields.keys() - Body.model_fields.keys() - {"kind"}
+        return self.shape(**{key: getattr(self, key) for key in keys})
 
     @property
     def value(self) -> shapes.Shape:
@@ -111,22 +110,18 @@ class SphereShape(Body):
     """A ball."""
 
     kind: Literal["sphere"] = "sphere"
+    shape: ClassVar[Maker] = shapes.Sphere
     centre: Length3 = Field(default=(0.0, 0.0, 0.0), description="Its middle, m.")
     radius: Radius = Field(description="Of the ball, m.")
-
-    def _as_given(self) -> shapes.Shape:
-        return shapes.Sphere(self.centre, self.radius)
 
 
 class BoxShape(Body):
     """A box along the axes."""
 
     kind: Literal["box"] = "box"
+    shape: ClassVar[Maker] = shapes.Box
     lower: Length3 = Field(description="Its lower corner, m.")
     upper: Length3 = Field(description="Its upper corner, m.")
-
-    def _as_given(self) -> shapes.Shape:
-        return shapes.Box(self.lower, self.upper)
 
 
 class Rod(Body):
@@ -140,57 +135,47 @@ class CylinderShape(Rod):
     """A round rod with flat ends."""
 
     kind: Literal["cylinder"] = "cylinder"
+    shape: ClassVar[Maker] = shapes.Cylinder
     radius: Radius = Field(description="Of the rod, m.")
-
-    def _as_given(self) -> shapes.Shape:
-        return shapes.Cylinder(self.start, self.end, self.radius)
 
 
 class ConeShape(Rod):
     """A cone, or a part of one, with flat ends."""
 
     kind: Literal["cone"] = "cone"
+    shape: ClassVar[Maker] = shapes.Cone
     radius_start: Length = Field(ge=0, description="At the start, m.")
     radius_end: Length = Field(ge=0, description="At the end, m.")
-
-    def _as_given(self) -> shapes.Shape:
-        return shapes.Cone(self.start, self.end, self.radius_start, self.radius_end)
 
 
 class TorusShape(Body):
     """A ring."""
 
     kind: Literal["torus"] = "torus"
+    shape: ClassVar[Maker] = shapes.Torus
     centre: Length3 = Field(default=(0.0, 0.0, 0.0), description="Its middle, m.")
     axis: Direction = Field(default="z", description="Of the ring.")
     radius: Radius = Field(description="Of the circle in the middle of the tube, m.")
     tube: Radius = Field(description="Radius of the tube, m.")
-
-    def _as_given(self) -> shapes.Shape:
-        return shapes.Torus(self.centre, self.axis, self.radius, self.tube)
 
 
 class PlaneShape(Body):
     """All that lies behind a plane, against its normal: to cut other bodies."""
 
     kind: Literal["plane"] = "plane"
+    shape: ClassVar[Maker] = shapes.Plane
     point: Length3 = Field(description="On the plane, m.")
     normal: Direction = Field(description="Out of the body.")
-
-    def _as_given(self) -> shapes.Shape:
-        return shapes.Plane(self.point, self.normal)
 
 
 class DiskShape(Body):
     """A round foil of no thickness."""
 
     kind: Literal["disk"] = "disk"
+    shape: ClassVar[Maker] = shapes.Disk
     centre: Length3 = Field(default=(0.0, 0.0, 0.0), description="Its middle, m.")
     normal: Direction = Field(default="z", description="Of the foil.")
     radius: Radius = Field(description="Of the foil, m.")
-
-    def _as_given(self) -> shapes.Shape:
-        return shapes.Disk(self.centre, self.normal, self.radius)
 
 
 class InFile(Body):
@@ -221,10 +206,7 @@ class RevolvedShape(InFile):
 
     def _check(self) -> None:
         super()._check()
-        if (self.points is None) == (self.file is None):
-            state = "is missing, as is file" if self.points is None else "is given as well as file"
-            remedy = "give points or file" if self.points is None else "keep one of the two"
-            raise complaint(state, remedy, path="points", found="")
+        self.refuse_pair("points", "file")
 
     def _as_given(self) -> shapes.Shape:
         points = self.points
@@ -261,15 +243,12 @@ class LevelSetShape(Body):
 class Combined(Body):
     """A body made of others."""
 
+    join: ClassVar[Maker]  # of two bodies
+
     of: list[ShapeKind] = Field(min_length=1, description="The bodies.")
 
     def _as_given(self) -> shapes.Shape:
-        return reduce(self._join, (body.value for body in self.of))
-
-    @staticmethod
-    @abstractmethod
-    def _join(first: shapes.Shape, second: shapes.Shape) -> shapes.Shape:
-        """Return the body that two make."""
+        return reduce(self.join, (body.value for body in self.of))
 
     @property
     def files(self) -> list[str]:
@@ -280,30 +259,21 @@ class UnionShape(Combined):
     """All that is in any of some bodies."""
 
     kind: Literal["union"] = "union"
-
-    @staticmethod
-    def _join(first: shapes.Shape, second: shapes.Shape) -> shapes.Shape:
-        return first | second
+    join: ClassVar[Maker] = operator.or_
 
 
 class IntersectionShape(Combined):
     """What some bodies have in common."""
 
     kind: Literal["intersection"] = "intersection"
-
-    @staticmethod
-    def _join(first: shapes.Shape, second: shapes.Shape) -> shapes.Shape:
-        return first & second
+    join: ClassVar[Maker] = operator.and_
 
 
 class DifferenceShape(Combined):
     """The first of some bodies without the others."""
 
     kind: Literal["difference"] = "difference"
-
-    @staticmethod
-    def _join(first: shapes.Shape, second: shapes.Shape) -> shapes.Shape:
-        return first - second
+    join: ClassVar[Maker] = operator.sub
 
 
 ShapeKind = Annotated[

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler, model_validator
-from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+from pydantic import Field, PlainValidator, WithJsonSchema, model_validator
+from pydantic_core import PydanticCustomError
 
 from ..errors import InputError
 from ..shapes import Shape
@@ -119,16 +119,6 @@ def _said(refused: PydanticCustomError) -> str:
 # ---- the section [[electrodes]] ----
 
 
-class VoltageOfTime:
-    """Annotation of a field that holds a voltage in V, a string with a unit, or a formula of t in s."""
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return core_schema.no_info_plain_validator_function(_voltage)
-
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        return {"type": ["number", "string"], "unit": "V, or a formula of t"}
-
-
 def _voltage(value: Any) -> float | str:
     if not _is_formula(value):
         return to_si(value, "potential")
@@ -139,12 +129,19 @@ def _voltage(value: Any) -> float | str:
     return value if re.search(r"\bt\b", value) else at_start
 
 
+VoltageOfTime = Annotated[
+    float | str | None,
+    PlainValidator(_voltage),
+    WithJsonSchema({"type": ["number", "string"], "unit": "V, or a formula of t"}),
+]
+
+
 class ElectrodeSection(Obstacle):
     """Metal, at which the field ends and particles are lost: held at a voltage, or floating with a charge."""
 
     name: str = Field(min_length=1, description="A name of your own, in outputs.")
     shape: ShapeKind = Field(description="The metal.")
-    voltage: Annotated[float | str | None, VoltageOfTime()] = Field(
+    voltage: VoltageOfTime = Field(
         default=None,
         description='At which it is held: a number, a string such as "5 kV", or a formula of t such as '
         '"5 kV*cos(2*pi*1 MHz*t)", with t in s.',
@@ -155,12 +152,7 @@ class ElectrodeSection(Obstacle):
 
     @model_validator(mode="after")
     def _one_drive(self) -> Self:
-        if (self.voltage is None) == (self.charge is None):
-            state = "is missing, as is charge" if self.charge is None else "is given as well as charge"
-            remedy = (
-                "give a voltage, or the charge of one that floats" if self.charge is None else "keep one of the two"
-            )
-            raise complaint(state, remedy, path="voltage", found="")
+        self.refuse_pair("voltage", "charge", "give a voltage, or the charge of one that floats")
         return self
 
     @property

@@ -95,10 +95,7 @@ class ConstantFocusingElement(PossiblyEverywhere):
 
     @model_validator(mode="after")
     def _one_strength(self) -> Self:
-        if (self.gradient is None) == (self.wavenumber is None):
-            state = "is missing" if self.gradient is None else "is given as well as wavenumber"
-            remedy = "give gradient or wavenumber" if self.gradient is None else "keep one of the two"
-            self.refuse("gradient", state, remedy)
+        self.refuse_pair("gradient", "wavenumber")
         return self
 
     def gradient_for(self, species: Species, momentum: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -129,9 +126,7 @@ class FringedElement(Element):
         if self.fringe == "hard":
             for key, value in (("gap", self.gap), ("enge", self.enge)):
                 if value is not None:
-                    raise complaint(
-                        "means nothing to hard edges", 'set fringe = "enge", or leave it out', path=key, found=value
-                    )
+                    self.refuse(key, "means nothing to hard edges", 'set fringe = "enge", or leave it out')
         elif self.gap is None:
             self.refuse("gap", "is missing", "add the full aperture that the fringe scales with")
         if math.isinf(enge_reach(self.coefficients)):
@@ -199,11 +194,9 @@ class DipoleElement(FringedElement):
             ("edge_integrals", self.edge_integrals, (0.0, 0.0)),
         ):
             if value != absent and self.fringe != "hard":
-                raise complaint(
-                    "is for hard faces alone", 'set fringe = "hard", or leave it out', path=key, found=value
-                )
+                self.refuse(key, "is for hard faces alone", 'set fringe = "hard", or leave it out')
         if self.edge_integrals != (0.0, 0.0) and self.turn == 0:
-            raise complaint("is missing", "give the angle by which the orbit turns", path="turn", found=0.0)
+            self.refuse("turn", "is missing", "give the angle by which the orbit turns")
         return self
 
 

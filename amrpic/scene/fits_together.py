@@ -163,14 +163,14 @@ def _stretch(scene: SceneParts) -> None:
 
 def _screening(scene: SceneParts) -> None:
     if refused := scene.solver.screening_refusal(scene.domain.value):
-        raise complaint(*refused, path="solver.screening", found=scene.solver.screening)
+        scene.refuse("solver.screening", *refused)
 
 
 def _electrodes(scene: SceneParts) -> None:
     if not scene.conductors:
         return
     if scene.solver.order != 2:
-        raise complaint("does not know electrodes", "set it to 2", path="solver.order", found=scene.solver.order)
+        scene.refuse("solver.order", "does not know electrodes", "set it to 2")
     if scene.domain.value.singular and scene.fixes_no_potential:
         raise complaint(
             "float all between periodic and neumann faces, so that nothing fixes the potential",
@@ -325,9 +325,8 @@ def _emission_rule(scene: SceneParts) -> None:
 def _bins(scene: SceneParts) -> None:
     length, width = scene.domain.upper[2] - scene.domain.lower[2], scene.diagnostics.loss_bin
     if width is not None and length > MOST_BINS * width:
-        raise complaint(
+        scene.refuse(
+            "diagnostics.loss_bin",
             f"makes more than {MOST_BINS} bins of a domain {length:g} m long",
             "give a longer one",
-            path="diagnostics.loss_bin",
-            found=width,
         )

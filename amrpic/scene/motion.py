@@ -114,16 +114,15 @@ class Leapfrog(Section):
     @model_validator(mode="after")
     def _growing(self) -> Self:
         if self.growth > 0 and self.form == "drift-kick-drift":
-            raise complaint(
+            self.refuse(
+                "growth",
                 "lets steps grow, which have their kick in the middle, where the next one is not known yet",
                 'set form = "kick-drift-kick", or leave growth out',
-                path="growth",
-                found=self.growth,
             )
         least = 0.0 if self.dt == "auto" else self.dt
         if self.longest is not None and (self.growth == 0 or self.longest < least):
             wrong = "bounds steps that do not grow" if self.growth == 0 else f"is below dt, {least:g} s"
-            raise complaint(wrong, "give a growth and a step above dt", path="longest", found=self.longest)
+            self.refuse("longest", wrong, "give a growth and a step above dt")
         return self
 
 

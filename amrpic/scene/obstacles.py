@@ -139,9 +139,7 @@ class Screen(Turned):
 
     @model_validator(mode="after")
     def _one_place(self) -> Self:
-        if (self.z is None) == (self.centre is None):
-            state = "is missing" if self.z is None else "is given as well as centre"
-            self.refuse("z", state, "give z, or centre and direction")
+        self.refuse_pair("z", "centre", "give z, or centre and direction")
         if self.z is not None and not (self.is_along_z and self.reach is None):
             self.refuse("z", "is that of a plane across z", "give centre in place of z for others")
         return self

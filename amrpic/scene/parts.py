@@ -107,8 +107,8 @@ class SceneParts(AnyScene):
     @property
     def fixes_no_potential(self) -> bool:
         """Whether a net charge has no potential: no face and no electrode has one."""
-        held = any(conductor.voltage is not None for conductor in self.conductors)
-        return self.domain.value.singular and self.solver.screening == 0 and not held
+        fixed = any(conductor.voltage is not None for conductor in self.conductors)
+        return self.domain.value.singular and self.solver.screening == 0 and not fixed
 
     @property
     def window_axis(self) -> int | None:

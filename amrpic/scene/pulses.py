@@ -46,7 +46,7 @@ class SteadyPulse(Pulse):
     @model_validator(mode="after")
     def _begins_first(self) -> Self:
         if self.stop is not None and self.stop <= self.start:
-            raise complaint("is not after start", "swap them", path="stop", found=self.stop)
+            self.refuse("stop", "is not after start", "swap them")
         return self
 
     @property

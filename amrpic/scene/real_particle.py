@@ -9,7 +9,6 @@ from pydantic import Field, model_validator
 
 from ..particles.species import LARGEST_MOMENTUM, SPECIES
 from ..units import SPEED_OF_LIGHT
-from .complaints import complaint
 from .section import Section
 from .species_of_bunches import Species
 from .units import Energy, Momentum3, Velocity3
@@ -37,9 +36,7 @@ class RealParticle(Section):
         keys = [key for key in ("momentum", "velocity", "kinetic_energy") if getattr(self, key) is not None]
         if len(keys) > 1:
             first, second = keys[:2]
-            raise complaint(
-                f"is given as well as {first}", "keep one of the two", path=second, found=getattr(self, second)
-            )
+            self.refuse(second, f"is given as well as {first}", "keep one of the two")
         if self.direction is not None and (self.kinetic_energy is None or not any(self.direction)):
             reason = (
                 "has no length" if self.kinetic_energy is not None else "is that of a kinetic_energy, which is missing"
@@ -50,11 +47,10 @@ class RealParticle(Section):
             self.refuse("velocity", f"is {speed / SPEED_OF_LIGHT:.3g} c", "stay below c, or give a momentum")
         over_mc = math.hypot(*self.mean_momentum) / (self.species.mass * SPEED_OF_LIGHT)
         if over_mc > LARGEST_MOMENTUM:
-            raise complaint(
+            self.refuse(
+                keys[0],
                 f"is {over_mc:.3g} m c of its species, more than {LARGEST_MOMENTUM:g}",
                 'plain numbers are SI; give a unit, such as "100 MeV/c" or "100 MeV"',
-                path=keys[0],
-                found=getattr(self, keys[0]),
             )
         return self
 

@@ -47,14 +47,9 @@ class Threshold(Rule):
 
     @model_validator(mode="after")
     def _one_threshold(self) -> Self:
-        if self.absolute is None and self.relative is None:
-            raise complaint("must be given, or else absolute", "add one of the two", path="relative", found="")
-        if self.absolute is not None and self.relative is not None:
-            self.refuse("relative", "is given as well as absolute", "keep one of the two")
+        self.refuse_pair("relative", "absolute")
         if self.absolute is not None and self.relative_to == "level":
-            raise complaint(
-                "has no meaning beside absolute", "leave it out, or give relative", path="relative_to", found="level"
-            )
+            self.refuse("relative_to", "has no meaning beside absolute", "leave it out, or give relative")
         return self
 
 
@@ -100,9 +95,7 @@ class Bounds(Rule):
         if at_least is None and at_most is None:
             raise complaint("must be given, or at_most, or both", "add one", path="at_least", found="")
         if at_least is not None and at_most is not None and at_least > at_most:
-            raise complaint(
-                f"lies above at_most = {at_most}, so that no cell fits", "swap them", path="at_least", found=at_least
-            )
+            self.refuse("at_least", f"lies above at_most = {at_most}, so that no cell fits", "swap them")
         return self
 
 
@@ -147,9 +140,7 @@ class EmissionRule(Rule):
 
     @model_validator(mode="after")
     def _one_depth(self) -> Self:
-        if (self.depth is None) == (self.cells is None):
-            wrong = "must be given, or else cells" if self.depth is None else "is given as well as cells"
-            self.refuse("depth", wrong, "give one of the two")
+        self.refuse_pair("depth", "cells")
         return self
 
     def depth_on(self, width: float) -> float:

@@ -49,13 +49,9 @@ class Scene(SceneParts):
         for key in ("apertures", "electrodes"):
             anchor_files(data.get(key), folder)
 
-    def with_interface(self, interface: str) -> Self:
-        """Return the scene with `particles.interface` as given."""
-        return self.model_copy(update={"particles": self.particles.model_copy(update={"interface": interface})})
-
-    def with_compensation(self, compensation: str) -> Self:
-        """Return the scene with `particles.compensation` as given."""
-        return self.model_copy(update={"particles": self.particles.model_copy(update={"compensation": compensation})})
+    def with_clouds(self, **changes: str) -> Self:
+        """Return the scene with other values of some keys of `particles`."""
+        return self.model_copy(update={"particles": self.particles.model_copy(update=changes)})
 
     def particle_count(self) -> int:
         """Macroparticles of the whole scene at its start."""

@@ -79,6 +79,14 @@ class Section(BaseModel, metaclass=_Sentences):
         text = "nothing" if value is None else list(value) if isinstance(value, tuple) else value
         raise complaint(problem, remedy, path=path, found=text)
 
+    def refuse_pair(self, key: str, other: str, remedy: str = "") -> None:
+        """Refuse two keys, one in place of the other, unless exactly one is given; `remedy` is for none."""
+        present = getattr(self, key) is not None
+        if present == (getattr(self, other) is not None):
+            problem = f"is given as well as {other}" if present else f"is missing, as is {other}"
+            missing = remedy or f"give {key} or {other}"
+            raise complaint(problem, "keep one of the two" if present else missing, path=key, found="")
+
 
 def refuse_negative(path: str, value: float, unit: str) -> None:
     if value < 0:

@@ -55,10 +55,7 @@ class ThermalBunch(Train):
     @model_validator(mode="after")
     def _matched(self) -> Self:
         self._check_direction()
-        if (self.gradient is None) == (self.wavenumber is None):
-            state, remedy = ("is missing", "give gradient or wavenumber") if self.gradient is None else (
-                "is given as well as wavenumber", "keep one of the two")  # fmt: skip
-            self.refuse("gradient", state, remedy)
+        self.refuse_pair("gradient", "wavenumber")
         if self.wavenumber is not None and not any(self.mean_momentum):
             self.refuse(
                 "wavenumber",

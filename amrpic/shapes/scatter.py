@@ -45,5 +45,5 @@ def scattered(shape: Shape, lower: ArrayLike, upper: ArrayLike, width: float) ->
         normals.append(normal)
         areas.append(np.abs(normal[:, axis]) * float(((high - low) / count)[[u, v]].prod()))
     area = np.concatenate(areas)
-    some = area > 0
-    return Scatter(np.concatenate(places)[some], np.concatenate(normals)[some], area[some])
+    extended = area > 0
+    return Scatter(np.concatenate(places)[extended], np.concatenate(normals)[extended], area[extended])

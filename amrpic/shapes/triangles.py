@@ -13,6 +13,7 @@ import scipy
 from numpy.typing import NDArray
 
 from .. import _native
+from ..arithmetic import is_number
 from ..errors import InputError
 from .spans import Floats, Ints
 
@@ -105,15 +106,6 @@ def read_text(path: str | os.PathLike[str], data: bytes) -> Floats:
     raise InputError(
         f"Mesh: {path} has {len(rows)} corners in {facets} facets; each needs three, so it may be cut off: export it again"
     )
-
-
-def is_number(word: bytes) -> bool:
-    """Whether a word is a number."""
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
 
 
 def closed(where: str, corners: Floats) -> TriangleSurface:

@@ -69,13 +69,13 @@ def other_places(at: Any) -> Arrays:
     return Arrays(_columns(at, names), 0.0, names=names)
 
 
-def require_places(sums: ColumnSums, given: Arrays, axis: int) -> None:
+def require_places(sums: ColumnSums, arrays: Arrays, axis: int) -> None:
     """Raise InputError if a coordinate of what lives is none."""
     if not sums.largest <= FARTHEST:
-        column = given.places[axis] if given.alive is None else given.places[axis][given.alive]
+        column = arrays.places[axis] if arrays.alive is None else arrays.places[axis][arrays.alive]
         bad = int(np.count_nonzero(~(np.abs(column) <= FARTHEST)))
         raise InputError(
-            f"{given.names[axis]} has {bad} values that are not finite or beyond {FARTHEST:g} m; correct them, or leave these "
+            f"{arrays.names[axis]} has {bad} values that are not finite or beyond {FARTHEST:g} m; correct them, or leave these "
             "particles out by alive"
         )
 
@@ -91,43 +91,43 @@ def require_charges(sums: ColumnSums) -> None:
 
 def lorentz_factor(value: Any, name: str) -> float:
     """Return a Lorentz factor. InputError for what is none."""
-    found = number(value, name, least=1)
-    if found > MOST_GAMMA:
-        raise InputError(f"{name} is {found}; give at most {MOST_GAMMA:g}")
-    return found
+    result = number(value, name, least=1)
+    if result > MOST_GAMMA:
+        raise InputError(f"{name} is {result}; give at most {MOST_GAMMA:g}")
+    return result
 
 
 def number(value: Any, name: str, least: float = -np.inf, above: float = -np.inf) -> float:
     """Return one finite number; InputError for anything else, and below `least` or not above `above`."""
-    found = _reals(value, name)
-    if found.ndim != 0 or not np.isfinite(found):
+    reals = _reals(value, name)
+    if reals.ndim != 0 or not np.isfinite(reals):
         raise InputError(f"{name} is {_brief(value)}; give one finite number")
-    if found < least or not found > above:
+    if reals < least or not reals > above:
         raise InputError(
-            f"{name} is {float(found)}; give {f'at least {least:g}' if found < least else f'more than {above:g}'}"
+            f"{name} is {float(reals)}; give {f'at least {least:g}' if reals < least else f'more than {above:g}'}"
         )
-    return float(found)
+    return float(reals)
 
 
 def number_or_column(value: Any, name: str, count: int) -> np.ndarray | float:
     """Return one number, or one for each of so many particles. InputError for other shapes."""
-    found = _reals(value, name)
-    if found.ndim == 0:
-        return float(found)
-    if found.shape != (count,):
-        raise InputError(f"{name} has the shape {found.shape}, but x ({count},); give one number, or one per particle")
-    return found
+    reals = _reals(value, name)
+    if reals.ndim == 0:
+        return float(reals)
+    if reals.shape != (count,):
+        raise InputError(f"{name} has the shape {reals.shape}, but x ({count},); give one number, or one per particle")
+    return reals
 
 
 def finite_or_column(value: Any, name: str, count: int, alive: Any = None) -> np.ndarray | float:
     """Return one finite number, or one for each of so many particles, finite for those that live. InputError for others."""
-    found = number_or_column(value, name, count)
-    living = found if alive is None or np.ndim(found) == 0 else np.asarray(found)[np.asarray(alive)]
+    result = number_or_column(value, name, count)
+    living = result if alive is None or np.ndim(result) == 0 else np.asarray(result)[np.asarray(alive)]
     if not np.isfinite(living).all():
         raise InputError(
             f"{name} holds values that are not finite; correct them, or leave these particles out by alive"
         )
-    return found
+    return result
 
 
 def _columns(values: Sequence[Any] | np.ndarray, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -145,23 +145,23 @@ def _reals(value: Any, name: str) -> np.ndarray:
     if isinstance(value, np.ma.MaskedArray):
         raise InputError(f"{name} is a masked array; give its data, and alive = ~mask")
     try:
-        found = np.asarray(value)
+        reals = np.asarray(value)
     except Exception as refused:  # ragged lists, arrays on other devices
         raise InputError(f"{name} is no array of numbers ({type(refused).__name__}); give a NumPy array") from None
-    if found.dtype.kind not in "fiu":
-        raise InputError(f"{name} holds values of type {found.dtype}; give real numbers")
-    found = found.astype(np.float64, copy=False)
-    even = found.flags.aligned and all(stride % found.itemsize == 0 for stride in found.strides)
-    return found if even else found.copy()
+    if reals.dtype.kind not in "fiu":
+        raise InputError(f"{name} holds values of type {reals.dtype}; give real numbers")
+    reals = reals.astype(np.float64, copy=False)
+    even = reals.flags.aligned and all(stride % reals.itemsize == 0 for stride in reals.strides)
+    return reals if even else reals.copy()
 
 
 def _mask(alive: Any, count: int) -> np.ndarray | None:
-    found = np.asarray(alive)
-    if found.dtype != bool or found.shape != (count,):
+    mask = np.asarray(alive)
+    if mask.dtype != bool or mask.shape != (count,):
         raise InputError(
-            f"alive has the shape {found.shape} and type {found.dtype}; give one bool per particle, ({count},)"
+            f"alive has the shape {mask.shape} and type {mask.dtype}; give one bool per particle, ({count},)"
         )
-    return None if found.all() else found
+    return None if mask.all() else mask
 
 
 def _brief(value: Any) -> str:

@@ -68,22 +68,22 @@ class CallersOrder:
         self._numbers = np.zeros(0, dtype=np.int64)  # 0, 1, 2, …
         self.outside = 0  # particles of all ranks that lay outside the mesh when they were sorted
 
-    def take(self, given: Arrays, coordinates: Coordinates) -> Taken:
+    def take(self, arrays: Arrays, coordinates: Coordinates) -> Taken:
         """Return the living particles in coordinates of a mesh. Local; InputError for values that are no places or charges."""
-        self._take_up(given)
+        self._take_up(arrays)
         if self._reproducible:
-            self._sort_by_value(given)
-        count = len(given) if self._order is None else len(self._order)
+            self._sort_by_value(arrays)
+        count = len(arrays) if self._order is None else len(self._order)
         position = empty_columns(count)
-        x, y, z = (self._coordinate(given, axis, coordinates, position) for axis in range(3))
-        charge, of_charge = self._charges(given, count)
+        x, y, z = (self._coordinate(arrays, axis, coordinates, position) for axis in range(3))
+        charge, of_charge = self._charges(arrays, count)
         return Taken(position, charge, of_charge.magnitude, (x, y, z))
 
-    def moved(self, taken: Taken, given: Arrays, before: Coordinates, after: Coordinates) -> Taken:
+    def moved(self, taken: Taken, arrays: Arrays, before: Coordinates, after: Coordinates) -> Taken:
         """Return what was taken in some coordinates in others. Local."""
         for axis in range(3):
             if before.along(axis) != after.along(axis):
-                self._coordinate(given, axis, after, taken.position)
+                self._coordinate(arrays, axis, after, taken.position)
         return taken
 
     def particles(self, taken: Taken, first: int) -> Particles:
@@ -108,12 +108,12 @@ class CallersOrder:
         `servers` that serve no longer are replaced.
         """
         evenly, at_rest = servers is not None, not self._reproducible
-        found, _, self.outside = migrate_without(particles, hierarchy, NONE, servers, evenly, at_rest=at_rest)
+        settled, _, self.outside = migrate_without(particles, hierarchy, NONE, servers, evenly, at_rest=at_rest)
         if self._reproducible:
-            assert found.sorting is not None
-            among = np.lexsort((found.weight, *found.position.T[::-1]))  # those of a brick follow each other so
-            found = migrate_without(found.select(among), hierarchy, NONE, found.sorting.servers)[0]
-        return found
+            assert settled.sorting is not None
+            among = np.lexsort((settled.weight, *settled.position.T[::-1]))  # those of a brick follow each other so
+            settled = migrate_without(settled.select(among), hierarchy, NONE, settled.sorting.servers)[0]
+        return settled
 
     def back(
         self,
@@ -143,32 +143,32 @@ class CallersOrder:
         self._keep(numbers, count)
         return out
 
-    def _take_up(self, given: Arrays) -> None:
+    def _take_up(self, arrays: Arrays) -> None:
         """Drop what is kept where it is of other particles."""
-        same = self._of == len(given) and (
-            self._alive is given.alive
-            or (self._alive is not None and given.alive is not None and np.array_equal(self._alive, given.alive))
+        same = self._of == len(arrays) and (
+            self._alive is arrays.alive
+            or (self._alive is not None and arrays.alive is not None and np.array_equal(self._alive, arrays.alive))
         )
         if not same:
-            self._of, self._order = len(given), None
-            self._alive = None if given.alive is None else given.alive.copy()
-            if given.alive is not None:
-                self._order = np.flatnonzero(given.alive)
+            self._of, self._order = len(arrays), None
+            self._alive = None if arrays.alive is None else arrays.alive.copy()
+            if arrays.alive is not None:
+                self._order = np.flatnonzero(arrays.alive)
 
-    def _sort_by_value(self, given: Arrays) -> None:
+    def _sort_by_value(self, arrays: Arrays) -> None:
         """Take particles in an order that depends on their places and charges alone."""
-        keys = [key for key in (given.charge, *given.places[::-1]) if isinstance(key, np.ndarray)]
+        keys = [key for key in (arrays.charge, *arrays.places[::-1]) if isinstance(key, np.ndarray)]
         canonical = np.lexsort([key if self._order is None else key[self._order] for key in keys])
         self._order = canonical if self._order is None else self._order[canonical]
 
-    def _coordinate(self, given: Arrays, axis: int, coordinates: Coordinates, position: np.ndarray) -> ColumnSums:
-        sums = column_sums(given.places[axis], self._order, *coordinates.along(axis), position[:, axis])
-        require_places(sums, given, axis)
+    def _coordinate(self, arrays: Arrays, axis: int, coordinates: Coordinates, position: np.ndarray) -> ColumnSums:
+        sums = column_sums(arrays.places[axis], self._order, *coordinates.along(axis), position[:, axis])
+        require_places(sums, arrays, axis)
         return sums
 
-    def _charges(self, given: Arrays, count: int) -> tuple[np.ndarray, ColumnSums]:
+    def _charges(self, arrays: Arrays, count: int) -> tuple[np.ndarray, ColumnSums]:
         """Return the charges that are taken (k,), and what they add up to."""
-        charge = given.charge
+        charge = arrays.charge
         if isinstance(charge, float):
             sums = ColumnSums(count * charge, count * abs(charge), charge, charge)
         else:
@@ -190,8 +190,8 @@ class CallersOrder:
         if self._reproducible or len(numbers) < 2:
             return
         if self._order is None:
-            some = numbers[1::SAMPLED] - numbers[:-1:SAMPLED]
-            if np.count_nonzero(some != 1) < MIXED * len(some):
+            samples = numbers[1::SAMPLED] - numbers[:-1:SAMPLED]
+            if np.count_nonzero(samples != 1) < MIXED * len(samples):
                 return
         if len(numbers) < (count if self._order is None else len(self._order)):  # some are lost: they come last
             left = np.zeros(count, dtype=bool)
@@ -223,8 +223,8 @@ def _returned(
     its_numbers, its_values = np.empty(total, dtype=np.int64), empty_columns(total)
     sizes, places = (sent, received), [np.concatenate([[0], np.cumsum(size)[:-1]]) for size in (sent, received)]
 
-    def exchange(given: np.ndarray, taken: np.ndarray, kind: MPI.Datatype) -> None:
-        comm.Alltoallv([given, sizes[0], places[0], kind], [taken, sizes[1], places[1], kind])
+    def exchange(sent: np.ndarray, received: np.ndarray, kind: MPI.Datatype) -> None:
+        comm.Alltoallv([sent, sizes[0], places[0], kind], [received, sizes[1], places[1], kind])
 
     exchange(numbers[order], its_numbers, MPI.INT64_T)
     for column, target in zip(values.T, its_values.T, strict=True):

@@ -203,29 +203,29 @@ class SpaceCharge:
         comm = self._comm = own(MPI.COMM_WORLD if self.settings["comm"] is None else self.settings["comm"])
         order, others, placing = self._order, self._order_of_places, self._placing
         with together(comm, InputError):
-            given = callers_arrays.particles(x, y, z, charge, alive)
+            arrays = callers_arrays.particles(x, y, z, charge, alive)
             lorentz = callers_arrays.lorentz_factor(gamma, name)
             places = None if at is None else callers_arrays.other_places(at)
-            times = factors(len(given), lorentz)
+            times = factors(len(arrays), lorentz)
             before = Coordinates(placing.centre, lorentz)
-            self._buffers.serve(len(given) + (0 if places is None else len(places)))
-            taken, points = order.take(given, before), None if places is None else others.take(places, before)
-        counts = self._counts(comm, len(given), -1 if places is None else len(places), lorentz)
+            self._buffers.serve(len(arrays) + (0 if places is None else len(places)))
+            taken, points = order.take(arrays, before), None if places is None else others.take(places, before)
+        counts = self._counts(comm, len(arrays), -1 if places is None else len(places), lorentz)
         extent = extent_of(
             comm, len(taken), taken.magnitude, taken.places, NOWHERE if points is None else points.places
         )
         if extent.count == 0 or extent.magnitude == 0 or (extent.count == 1 and places is None and placing.free):
             self.outside = 0
-            return np.zeros((len(given if places is None else places), 3)), lorentz
+            return np.zeros((len(arrays if places is None else places), 3)), lorentz
         with together(comm, InputError):
             anew = placing.follow(extent, lorentz, self._regrids)
-        taken = order.moved(taken, given, before, placing.coordinates)
+        taken = order.moved(taken, arrays, before, placing.coordinates)
         particles, efield = self._solved(comm, extent, taken, counts[:, 0], anew)
         self._calls += 1
         if places is not None and points is not None:
             points = others.moved(points, places, before, placing.coordinates)
-            there = others.particles(points, int(counts[: comm.rank, 1].sum()))
-            particles = others.sort(efield.hierarchy, there, None)
+            where_asked = others.particles(points, int(counts[: comm.rank, 1].sum()))
+            particles = others.sort(efield.hierarchy, where_asked, None)
             order, counts = others, counts[:, 1:]
         return order.back(efield, particles, self._memory.clouds, counts[:, 0], times), lorentz
 
@@ -268,8 +268,8 @@ class SpaceCharge:
 
     @property
     def _regrids(self) -> bool:
-        every = self._memory.refinement.regrid_every
-        return every > 0 and self._calls > 0 and self._calls % every == 0
+        period = self._memory.refinement.regrid_every
+        return period > 0 and self._calls > 0 and self._calls % period == 0
 
     def _counts(self, comm: Communicator, particles: int, places: int, gamma: float) -> np.ndarray:
         """Return how many particles and places each rank brings, (ranks, 2). Collective; InputError on all ranks where they
@@ -291,8 +291,10 @@ class SpaceCharge:
         return SpaceCharge(**self.settings)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> SpaceCharge:
-        kept = {name: value if name == "comm" else copy.deepcopy(value, memo) for name, value in self.settings.items()}
-        return SpaceCharge(**kept)
+        settings = {
+            name: value if name == "comm" else copy.deepcopy(value, memo) for name, value in self.settings.items()
+        }
+        return SpaceCharge(**settings)
 
     def __reduce__(self) -> tuple[Any, ...]:
         if self.settings["comm"] not in (None, MPI.COMM_WORLD, MPI.COMM_SELF):
@@ -347,15 +349,15 @@ def _rule(rule: Any) -> dict[str, Any]:
 def _section(kind: type[Any], **values: Any) -> Any:
     """Return settings as the section of scenes that checks them. InputError for wrong ones."""
     try:
-        made = kind.model_validate(values)
+        options = kind.model_validate(values)
     except ValidationError as refused:
-        path, found, what, remedy = mistakes(refused, kind)[0]
-        raise InputError(f"{path} is {found!r}, which {what}; {remedy}") from None
-    for _, rule in every_rule(made.rule) if isinstance(made, Refinement) else ():
+        path, value_found, problem, remedy = mistakes(refused, kind)[0]
+        raise InputError(f"{path} is {value_found!r}, which {problem}; {remedy}") from None
+    for _, rule in every_rule(options.rule) if isinstance(options, Refinement) else ():
         if isinstance(rule, MomentumRule):
             raise InputError("rule looks at momenta, which no one gives; use another rule, such as charge-density")
         if isinstance(rule, RuleOfElectrodes):
             raise InputError(
                 "rule looks at electrodes, of which there are none; use another rule, such as charge-density"
             )
-    return made
+    return options

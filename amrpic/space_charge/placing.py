@@ -53,14 +53,16 @@ def extent_of(
         for what, values in (("", of), ("other", other)):
             largest[f"{what} lower {axis}"] = -values.least
             largest[f"{what} upper {axis}"] = values.greatest
-    found = global_sums_and_largest(comm, sums, largest)
+    totals = global_sums_and_largest(comm, sums, largest)
 
     def three(name: str) -> np.ndarray:
-        return np.array([found[f"{name} {axis}"] for axis in range(3)])
+        return np.array([totals[f"{name} {axis}"] for axis in range(3)])
 
     lower, upper = -three(" lower"), three(" upper")
     reach = np.minimum(lower, -three("other lower")), np.maximum(upper, three("other upper"))
-    return Extent(int(found["count"]), three("sum") / max(found["count"], 1), lower, upper, reach, found["magnitude"])
+    return Extent(
+        int(totals["count"]), three("sum") / max(totals["count"], 1), lower, upper, reach, totals["magnitude"]
+    )
 
 
 def sizes_of(comm: Communicator, position: np.ndarray, charge: np.ndarray, extent: Extent) -> tuple[float, np.ndarray]:
@@ -89,8 +91,8 @@ class Placing:
     In them charge that moves along z with γ is at rest, so its field is electrostatic.
     """
 
-    def __init__(self, given: Domain | None, cells: tuple[int, int, int] | None) -> None:
-        self._given, self._cells = given, cells
+    def __init__(self, domain: Domain | None, cells: tuple[int, int, int] | None) -> None:
+        self._given, self._cells = domain, cells
         self._extent = self._room = np.zeros(3)  # that the domain was made for, and that it is made for
         self.domain: Domain | None = None
         self.centre, self.gamma = np.zeros(3), 1.0

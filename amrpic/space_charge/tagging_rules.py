@@ -46,9 +46,9 @@ def refined(
     """
     rule, static = apart(refinement.rule)
     tags = [] if rule is None else tags_of(rule, quantities)
-    kept = [] if rule is None or hysteresis == 1 else tags_of(rule, quantities, hysteresis)
+    lasting = [] if rule is None or hysteresis == 1 else tags_of(rule, quantities, hysteresis)
     settings = Regridding(refinement.levels + 1, refinement.buffer, refinement.nesting, refinement.efficiency)
-    hierarchy = regrid(quantities.hierarchy, tags, settings, index_boxes(static, quantities.hierarchy.domain), kept)
+    hierarchy = regrid(quantities.hierarchy, tags, settings, index_boxes(static, quantities.hierarchy.domain), lasting)
     return hierarchy, None if rule is None else tags
 
 
@@ -64,9 +64,9 @@ def _tags(rule: RuleKind, quantities: QuantitiesOnMesh, part: float) -> Tags:
         case StaticRule():
             return tag.inside(quantities.hierarchy, index_boxes([rule], quantities.hierarchy.domain))
         case AnyRule():
-            return tag.either(*(tags_of(one, quantities, part) for one in rule.of))
+            return tag.either(*(tags_of(member, quantities, part) for member in rule.of))
         case AllRule():
-            return tag.both(*(tags_of(one, quantities, part) for one in rule.of))
+            return tag.both(*(tags_of(member, quantities, part) for member in rule.of))
         case ParticlesRule():
             at_least = part * (rule.at_least or 0)
             return tag.between(quantities["particles_per_cell"], at_least, _over(rule.at_most, part))
@@ -147,9 +147,11 @@ def apart(rule: RuleKind) -> tuple[RuleKind | None, list[StaticRule]]:
         case StaticRule():
             return None, [rule]
         case AnyRule(levels=None):
-            parts = [apart(one) for one in rule.of]
-            rest = [one for one, _ in parts if one is not None]
-            return rule.model_copy(update={"of": rest}) if rest else None, [box for _, boxes in parts for box in boxes]
+            parts = [apart(member) for member in rule.of]
+            rules = [member for member, _ in parts if member is not None]
+            return rule.model_copy(update={"of": rules}) if rules else None, [
+                box for _, boxes in parts for box in boxes
+            ]
     return rule, []
 
 

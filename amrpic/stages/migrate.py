@@ -61,7 +61,7 @@ def migrate_without(
     comm = hierarchy.comm
     if servers is None:
         servers = share_out(comm, *weights(particles, hierarchy))
-    weight, most = particles.one_weight_and_most(comm)
+    weight, most = one_weight_and_most(comm, [particles])
     _require_few(most)
     columns = _passing(particles if weight is not None else particles.with_own_weights(), at_rest)
     plan = _native.Migration(hierarchy.particle_mesh, servers, *columns, gone, weight is None)
@@ -193,7 +193,7 @@ def share_out(comm: MPI.Comm, places: np.ndarray, weights: np.ndarray) -> np.nda
     bricks, member = np.unique(places, return_inverse=True)
     heavy = np.bincount(member, weights, len(bricks)).astype(np.int64)
     before = np.concatenate([[0], np.cumsum(heavy)])
-    wanted = comm.allreduce(int(before[-1])) * np.arange(1, comm.size) // comm.size
+    cuts = comm.allreduce(int(before[-1])) * np.arange(1, comm.size) // comm.size
     starts = np.zeros(comm.size - 1, dtype=np.int64)
     # So many binary digits at a time, the last place before which there is not more than wanted: few sums of few numbers.
     digits = next(d for d in (9, 7, 3, 1) if d == 1 or (2**d - 1) * comm.size <= MOST_SUMMED)
@@ -205,7 +205,7 @@ def share_out(comm: MPI.Comm, places: np.ndarray, weights: np.ndarray) -> np.nda
             inside = np.clip(tried - bricks[brick], 0, _native.PLACES_PER_BRICK)
             below = before[brick] + heavy[brick] * inside // _native.PLACES_PER_BRICK
         comm.Allreduce(MPI.IN_PLACE, below)
-        starts += np.count_nonzero(below <= wanted[:, None], axis=1) << shift
+        starts += np.count_nonzero(below <= cuts[:, None], axis=1) << shift
     return np.concatenate([[0], starts, [_native.END_OF_CURVE]])
 
 

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
-import scipy
 from pydantic import ValidationError
 
 from .. import _native, html
@@ -19,6 +18,7 @@ from ..errors import SolverError
 from ..mesh.domain import BOUNDARIES
 from ..mesh.field import Field, Function, Holds, VectorField
 from ..mesh.hierarchy import Hierarchy
+from ..mesh.level_operators import LevelOperators
 from ..mesh.mirror import SIGNS, Mirror
 from ..mesh.rims import rims_of
 from ..parallel import together
@@ -148,12 +148,8 @@ class PoissonSolver:
                 "one without it"
             )
         self._walls: tuple[Function | None, Function | None] | None = (None, None)  # whose values the walls hold
-        native = native_options(chosen)
+        native = native_options(chosen, mirror)
         native.neutralize = background is not None
-        if mirror is not None:
-            native.across = mirror.axis
-            native.mirror_places = [np.nan if plane is None else plane.place for plane in mirror.planes]
-            native.mirror_signs = [1 if plane is None else SIGNS[plane.kind] for plane in mirror.planes]
         reusable = reuse.native if reuse is not None else _native.Reusable()
         try:
             of_metal = None if metal is None else metal.native()
@@ -304,7 +300,7 @@ class PoissonSolver:
         if name not in names:
             raise SolverError(f"there is no electrode {name!r}; there are {', '.join(names)}")
         out = self._unit_potentials[names.index(name)].copy()
-        self._units = [known for known in self._units if known[0]() is not None]
+        self._units = [unit for unit in self._units if unit[0]() is not None]
         self._units.append((weakref.ref(out), names.index(name)))
         return out
 
@@ -359,7 +355,7 @@ class PoissonSolver:
     @contextmanager
     def _surfaces_of(self, phi: Field) -> Iterator[None]:
         """Let walls and electrodes hold what they do in a potential: of one electrode at 1 V, else of the latest solve."""
-        number = next((n for known, n in self._units if known() is phi), None)
+        number = next((n for reference, n in self._units if reference() is phi), None)
         if number is None:
             yield
             return
@@ -418,7 +414,7 @@ class PoissonSolver:
 
     def operators(self, level: int) -> LevelOperators:
         """The eight operators of a level, to look at. Collective at the first call."""
-        return LevelOperators(self, self.hierarchy._checked(level))
+        return LevelOperators(self.native, self.hierarchy, self.hierarchy._checked(level))
 
     def _require_home(self, name: str, field: Field) -> None:
         if not isinstance(field, Field):
@@ -526,8 +522,8 @@ def _options(options: SolverOptions | None, choices: Mapping[str, Any]) -> Solve
     try:
         return SolverOptions.model_validate({name: _plain(value) for name, value in choices.items()})
     except ValidationError as refused:
-        path, found, what, remedy = mistakes(refused, SolverOptions)[0]
-        raise SolverError(f"{path} is {found!r}, which {what}; {remedy}") from None
+        path, value_found, problem, remedy = mistakes(refused, SolverOptions)[0]
+        raise SolverError(f"{path} is {value_found!r}, which {problem}; {remedy}") from None
 
 
 def _plain(value: Any) -> Any:
@@ -537,131 +533,20 @@ def _plain(value: Any) -> Any:
     return tuple(map(_plain, value)) if isinstance(value, list | tuple) else value
 
 
-def native_options(options: SolverOptions) -> _native.SolverOptions:
+def native_options(options: SolverOptions, mirror: Mirror | None = None) -> _native.SolverOptions:
     """Return the options as the native struct; the names of choices become members of its enumerations."""
     native = _native.SolverOptions()
     for name, value in options.native_values().items():
         if isinstance(value, str):
             value = getattr(type(getattr(native, name)), value.replace("-", "_"))
         setattr(native, name, value)
+    if mirror is not None:
+        native.across = mirror.axis
+        native.mirror_places = [np.nan if plane is None else plane.place for plane in mirror.planes]
+        native.mirror_signs = [1 if plane is None else SIGNS[plane.kind] for plane in mirror.planes]
     return native
 
 
 def _one_of(name: str, value: str, allowed: Sequence[str]) -> None:
     if value not in allowed:
         raise SolverError(f"{name} is {value!r}; use one of {', '.join(allowed)}")
-
-
-@dataclass(frozen=True)
-class CompositeOperator:
-    """One sparse operator between the cells of two levels; in the native module, or `entries` of its own."""
-
-    hierarchy: Hierarchy
-    shape: tuple[int, int]
-    entries: tuple[np.ndarray, np.ndarray, np.ndarray]  # this rank's rows: row starts, global columns, values
-    source: tuple[_native.LevelOperators, str, int] | None = None
-    first_column: int = 0  # of this rank's cells of the column level, where there is no source
-
-    def to_scipy(self) -> scipy.sparse.csr_array | None:
-        """The whole operator on rank 0, None elsewhere; rows and columns in the order of the levels' cells. Collective."""
-        parts = self.hierarchy.comm.gather(self.entries, root=0)
-        if parts is None:
-            return None
-        lengths = np.concatenate([np.diff(start) for start, _, _ in parts])
-        start = np.concatenate([[0], np.cumsum(lengths)])
-        columns = np.concatenate([column for _, column, _ in parts])
-        values = np.concatenate([value for _, _, value in parts])
-        return scipy.sparse.csr_array((values, columns, start), shape=self.shape)
-
-    def multiply(self, values: np.ndarray) -> np.ndarray:
-        """This rank's part of the operator times `values`, its cells of the column level, by Tpetra. Collective."""
-        if self.source is None:
-            start, columns, own = self.entries
-            local = scipy.sparse.csr_array(
-                (own, columns - self.first_column, start), shape=(len(start) - 1, len(values))
-            )
-            return local @ values
-        operators, name, axis = self.source
-        return operators.multiply(name, axis, np.ascontiguousarray(values))
-
-
-@dataclass(frozen=True)
-class GradientAxis:
-    """One component of E = −∇φ: own φ_l + coarse φ_{l−1} + fine φ_{l+1}, in uncovered cells."""
-
-    own: CompositeOperator
-    coarse: CompositeOperator
-    fine: CompositeOperator
-
-
-class LevelOperators:
-    """The eight operators of a level; operators towards a level that does not exist have no columns."""
-
-    def __init__(self, solver: PoissonSolver, level: int) -> None:
-        self.hierarchy, self.level = solver.hierarchy, level
-        if not _native.trilinos_version():
-            raise SolverError("operators as matrices need Trilinos, and amrpic was built without it")
-        self._native = _native.operators_of(solver.native, level)
-        self._coarse = _native.operators_of(solver.native, level - 1) if level > 0 else None
-        self._fine = _native.operators_of(solver.native, level + 1) if level + 1 < self.hierarchy.levels else None
-
-    @property
-    def no_fine(self) -> CompositeOperator:
-        """Laplacian of the level as if nothing finer existed; in covered cells, which hold corrections alone, what lies
-        behind an open wall vanishes where the finest level's ghosts are."""
-        return self._operator("no_fine", self._native)
-
-    @property
-    def composite(self) -> CompositeOperator:
-        """Laplacian in uncovered cells, with the fluxes of the finer level."""
-        return self._operator("composite", self._native)
-
-    @property
-    def coarse_boundary(self) -> CompositeOperator:
-        """What the ghost cells of the level take from the next coarser one."""
-        return self._operator("coarse_boundary", self._coarse)
-
-    @property
-    def fine_boundary(self) -> CompositeOperator:
-        """What the mean fine fluxes take from the next finer level."""
-        return self._operator("fine_boundary", self._fine)
-
-    @property
-    def restriction(self) -> CompositeOperator:
-        """Mean of the children, in rows of covered cells."""
-        return self._operator("restriction", self._fine)
-
-    @property
-    def prolongation(self) -> CompositeOperator:
-        """Values from the next coarser level."""
-        return self._operator("prolongation", self._coarse)
-
-    @property
-    def uncovered(self) -> CompositeOperator:
-        """1 on the diagonal where no finer level covers the cell."""
-        ones = self._native.uncovered().astype(bool)
-        start = np.concatenate([[0], np.cumsum(ones)])
-        columns = self._native.first_row + np.flatnonzero(ones)
-        size = self._native.rows
-        entries = start, columns, np.ones(len(columns))
-        return CompositeOperator(self.hierarchy, (size, size), entries, first_column=self._native.first_row)
-
-    @property
-    def gradient(self) -> tuple[GradientAxis, ...]:
-        """E = −∇φ along x, y and z."""
-        return tuple(
-            GradientAxis(
-                self._operator("gradient_own", self._native, axis),
-                self._operator("gradient_coarse", self._coarse, axis),
-                self._operator("gradient_fine", self._fine, axis),
-            )
-            for axis in range(3)
-        )
-
-    def _operator(self, name: str, columns: _native.LevelOperators | None, axis: int = 0) -> CompositeOperator:
-        if columns is None:
-            empty = np.zeros(self._native.local_rows + 1, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0)
-            return CompositeOperator(self.hierarchy, (self._native.rows, 0), empty)
-        shape = self._native.rows, columns.rows
-        entries = self._native.rows_of(name, columns, axis)
-        return CompositeOperator(self.hierarchy, shape, entries, (self._native, name, axis))

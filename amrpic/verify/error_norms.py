@@ -12,34 +12,23 @@ from ..mpi import MPI
 Exact = Callable[[np.ndarray, np.ndarray, np.ndarray], "np.ndarray | tuple[np.ndarray, ...]"]
 
 
-def errors(fields: Sequence[Field], exact: Exact, shift: bool = False) -> tuple[float, float]:
+def errors(fields: Sequence[Field], exact: Exact, offset: float = 0.0) -> tuple[float, float]:
     """The L2 error over the L2 norm of the exact field, and the largest error over the largest exact value. Collective.
 
-    Several fields are the components of a vector, as `exact` then gives them. With `shift` the mean error counts as none: where
-    no face fixes a potential, it is known up to a constant only.
+    Several fields are the components of a vector, as `exact` then gives them. An `offset` is no error.
     """
-    squares, largest = _measured(fields, exact, _mean_error(fields[0], exact) if shift else 0.0)
+    squares, largest = measured(fields, exact, offset)
     wrong, right = squares.sum(axis=0)
     return float(np.sqrt(wrong / right)), float(np.sqrt(largest[:, 0].max() / largest[:, 1].max()))
 
 
-def level_errors(fields: Sequence[Field], exact: Exact) -> list[tuple[float, float]]:
-    """The same per level: L2 relative to the level's own norm, max to the largest exact value of all levels. Collective."""
-    squares, largest = _measured(fields, exact, 0.0)
-    top = largest[:, 1].max()
-    return [
-        (float(np.sqrt(wrong / right)), float(np.sqrt(worst / top)))
-        for (wrong, right), (worst, _) in zip(squares, largest, strict=True)
-    ]
-
-
-def _measured(fields: Sequence[Field], exact: Exact, offset: float) -> tuple[np.ndarray, np.ndarray]:
+def measured(fields: Sequence[Field], exact: Exact, offset: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """Per level (error, exact): volume integrals of the squares, and largest squares."""
     levels, comm = fields[0].hierarchy.levels, fields[0].comm
     squares, largest = np.zeros((levels, 2)), np.zeros((levels, 2))
     for i, patch in enumerate(fields[0].patches):
         use, volume = ~patch.covered, np.prod(patch.hierarchy.spacing(patch.level))
-        expected = [np.broadcast_to(e, patch.data.shape)[use] for e in _components(exact, patch.centres())]
+        expected = [np.broadcast_to(e, patch.data.shape)[use] for e in components(exact, patch.centres())]
         wrong = sum((f.patches[i].data[use] - offset - t) ** 2 for f, t in zip(fields, expected, strict=True))
         right = sum(t**2 for t in expected)
         squares[patch.level] += volume * np.array([np.sum(wrong), np.sum(right)])
@@ -50,17 +39,6 @@ def _measured(fields: Sequence[Field], exact: Exact, offset: float) -> tuple[np.
     return squares, largest
 
 
-def _components(exact: Exact, places: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
+def components(exact: Exact, places: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
     values = exact(*places)
     return values if isinstance(values, tuple) else (values,)
-
-
-def _mean_error(field: Field, exact: Exact) -> float:
-    total = np.zeros(2)
-    for patch in field.patches:
-        use, volume = ~patch.covered, np.prod(patch.hierarchy.spacing(patch.level))
-        (expected,) = _components(exact, patch.centres())
-        wrong = (patch.data - expected)[use]
-        total += volume * np.array([wrong.sum(), wrong.size])
-    total = field.comm.allreduce(total, op=MPI.SUM)
-    return float(total[0] / total[1])

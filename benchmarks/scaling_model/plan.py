@@ -17,11 +17,12 @@ from amrpic.mesh.boxes import Array
 from amrpic.mesh.hierarchy import Hierarchy
 from amrpic.parallel import Traffic
 from amrpic.pic.flight import deposits_meanwhile
-from amrpic.pic.memory import PLACING, Share, rank_memory
-from amrpic.pic.restart import BEFORE, FIELDS, LAGGING_BYTES, ROW_BYTES
+from amrpic.pic.memory import Share, rank_memory
+from amrpic.pic.restart import BEFORE, FIELDS
 from amrpic.scaling.measure import cells_of_ranks
 from amrpic.scene.motion import Leapfrog, RandomWalk
 from amrpic.scene.scene import Scene
+from exact.virtual_rank import seen_by
 
 from .bricks import Bricks, Exchange, Served, bricks_of, served
 from .densities import charged_regions, clouds_of, planned_mesh
@@ -47,6 +48,9 @@ MOVED = 300_000  # particles of a rank, and of those that share its bricks, that
 LOOKED_AT = 24  # ranks of which all messages are counted
 WALLS = 2**14  # ranks that are gone through for open walls
 NODE = 36  # ranks of a node of which all are looked at
+PLACING = 112  # bytes of a particle while they are made and brought to their ranks
+ROW_BYTES = (24, 24, 8, 8)  # of each column of particles in a checkpoint
+LAGGING_BYTES = 24  # of the momenta that leapfrog keeps beside them
 
 
 @dataclass(frozen=True)
@@ -287,8 +291,8 @@ class Planner:
             if rank not in looks:
                 self._say(f"{ranks} ranks: messages of rank {rank}, the {len(looks) + 1}th of about {len(chosen)}")
                 walls[rank] = walls[rank] if rank in walls else walls_at(rank)
-                mesh_there = closed.seen_by(rank)
-                looks[rank] = self._look(mesh_there, held, other.seen_by(rank), walls[rank], cycle_of.work(rank))
+                mesh_there = seen_by(closed, rank)
+                looks[rank] = self._look(mesh_there, held, seen_by(other, rank), walls[rank], cycle_of.work(rank))
             return looks[rank]
 
         nodes = []

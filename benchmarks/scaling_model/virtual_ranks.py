@@ -16,7 +16,7 @@ from amrpic import _native
 from amrpic.mesh.domain import Domain
 from amrpic.mesh.field import Field, VectorField
 from amrpic.mesh.hierarchy import Hierarchy
-from amrpic.parallel import VirtualRank, traffic
+from amrpic.parallel import traffic
 from amrpic.particles.clouds import Clouds
 from amrpic.particles.particles import Particles
 from amrpic.pic.initial_particles import make_particles
@@ -32,6 +32,7 @@ from amrpic.stages.poisson import PoissonSolver
 from amrpic.stages.push import push, random_walk
 from amrpic.stages.regrid import carry_over
 from amrpic.units import SPEED_OF_LIGHT
+from exact.virtual_rank import VirtualRank
 
 from .bricks import Bricks, Served
 from .sent import Sent

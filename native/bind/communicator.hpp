@@ -11,7 +11,7 @@
 
 namespace amrpic::bind {
 
-/// The Fortran handle of a communicator, or a virtual rank and the number of ranks: `amrpic.parallel.VirtualRank.py2f`.
+/// The Fortran handle of a communicator, or, as tests have it, a rank that need not exist and the number of ranks.
 using Ranks = std::variant<int, std::array<int, 2>>;
 
 inline Communicator communicator(Ranks const& ranks) {

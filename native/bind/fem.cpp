@@ -114,7 +114,6 @@ void bind_fem(nb::module_& m) {
           "hierarchy"_a, "degree"_a)
       .def("nodes", [](fem::Lattice const& l) { return indices_of(l.nodes()); })
       .def("elements", [](fem::Lattice const& l) { return indices_of(l.elements()); })
-      .def_prop_ro("first_node", [](fem::Lattice const& l) { return l.nodes().first_local_cell(); })
       .def(
           "locate",
           [](fem::Lattice const& l, bind::RealRows places) {

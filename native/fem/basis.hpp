@@ -7,8 +7,6 @@
 
 namespace amrpic::fem {
 
-constexpr int highest_degree = 4;
-
 /// m[i][l]: what input l adds to output i.
 template <int P>
 struct Matrix {
@@ -32,7 +30,7 @@ struct Quadrature {
 Quadrature gauss_rule(int count);
 
 /// The nodes of an element: the ends, and where Legendre's polynomial of this degree has slope zero (Gauss-Lobatto). Up
-/// to `highest_degree`.
+/// to 4.
 std::vector<Real> lobatto_nodes(int degree);
 
 /// Lagrange's polynomial of each node at x, and its slope there.

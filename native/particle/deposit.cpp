@@ -503,7 +503,6 @@ class Deposition::Sums {
   }
 
   static constexpr std::int64_t between_polls = 1 << 14;  ///< particles; about 0.1 ms
-  static constexpr std::int64_t cells_as_particle = 8;    ///< that are moved into the density in the same time
 
   ParticleMesh& mesh_;
   Hierarchy const& hierarchy_;

@@ -17,7 +17,7 @@ from amrpic import _native
 from amrpic.errors import InputError
 from amrpic.mesh.field import Field
 from amrpic.mesh.hierarchy import Hierarchy
-from amrpic.parallel import Traffic, VirtualRank, own, traffic
+from amrpic.parallel import Traffic, own, traffic
 from amrpic.pic.adapt import follow, make_base
 from amrpic.pic.frames import first_frames
 from amrpic.pic.initial_particles import make_particles
@@ -29,6 +29,7 @@ from amrpic.stages.deposit import Deposition, deposit
 from amrpic.stages.gather import gather
 from amrpic.stages.migrate import NONE, migrate
 from amrpic.stages.poisson import PoissonSolver
+from exact.virtual_rank import VirtualRank, seen_by
 from scaling_model.bricks import Exchange, bricks_of, exchange, served
 from scaling_model.command import main
 from scaling_model.densities import Cloud, Edges, clouds_of, planned_mesh
@@ -91,7 +92,7 @@ def test_virtual_ranks_send_what_real_ones_do(comm: MPI.Comm, boundary):
     mine, _ = migrate(make_particles(real.comm, made), real)
     servers = mine.sorted_on(real).servers
     sent = counts(made, real, mine, servers, moved_on(real), cycle_work(made, real))
-    virtual = Hierarchy(VirtualRank(0, comm.size), mesh.domain, boxes, 16, 8).seen_by(comm.rank)
+    virtual = seen_by(Hierarchy(VirtualRank(0, comm.size), mesh.domain, boxes, 16, 8), comm.rank)
     everyone = make_particles(MPI.COMM_SELF, made)
     there = migrate(everyone, virtual, servers)[0]
     planned = counts(made, virtual, there, servers, moved_on(virtual), cycle_work(made, virtual))
@@ -295,7 +296,7 @@ def test_cycles_are_gone_through_for_all_ranks():
     made = scene()
     closed = without_open_walls(distributed(planned_mesh(made, clouds_of(made))[0], 60))
     found = Cycles.of(cycle_plans(made, closed), 60)
-    each = [cycle_work(made, closed.seen_by(rank)) for rank in range(60)]
+    each = [cycle_work(made, seen_by(closed, rank)) for rank in range(60)]
     for what in ("messages", "bytes"):
         assert getattr(found, what).tolist() == [sum(getattr(level, what) for level in work) for work in each]
     for n, level in enumerate(each[0]):
@@ -432,7 +433,7 @@ def test_particles_that_leave_ranks_and_nodes_are_those_of_a_migration(step: str
     found = leaving(moves(bricks, mesh, displacements(made, everyone)), held, ranks)
     left, far, announced = np.zeros(ranks), np.zeros(ranks // 4), np.zeros(ranks)
     for rank in range(ranks):
-        there = mesh.seen_by(rank)
+        there = seen_by(mesh, rank)
         mine, _ = migrate(everyone, there, held.servers)
         moved, before = mine.replace(position=mine.position + displacements(made, mine)), traffic().bytes
         _native.Migration(there.particle_mesh, held.servers, *moved.with_own_weights().arrays, NONE, True)

@@ -5,10 +5,11 @@ import pytest
 
 import bodies
 from amrpic import Electrode, shapes
-from amrpic.conductors.arms import SIDES, arms_of_boxes, cut_arms
+from amrpic.conductors.arms import SIDES, arms_of_boxes
 from amrpic.conductors.contacts import sentence
 from amrpic.conductors.metal import refuse_contacts
 from amrpic.errors import InputError
+from arms_of_one_box import cut_arms, of_box
 
 CELLS = np.array([20, 18, 22])
 ORIGIN, SPACING = np.array([-0.9, -0.85, -0.95]), np.array([0.09, 0.094, 0.086])
@@ -82,7 +83,7 @@ def everywhere(boxes):
     assert not contacts
     known: dict[tuple[int, ...], bytes] = {}
     for number, box in enumerate(np.array(boxes)):
-        own, size = arms.of_box(number), box[3:] - box[:3] + 1
+        own, size = of_box(arms, number), box[3:] - box[:3] + 1
         rows = np.column_stack([own.theta, own.electrode, own.surface])
         for cells, values in ((own.cell, rows), (own.solid, own.solid_electrode)):
             index = np.column_stack(np.unravel_index(cells, size[::-1]))[:, ::-1] + box[:3]

@@ -11,7 +11,7 @@ from mpi4py import MPI
 import amrpic
 from amrpic import gmls
 from amrpic.errors import InputError
-from amrpic.parallel import VirtualRank
+from exact.virtual_rank import VirtualRank
 
 
 def mesh() -> amrpic.Hierarchy:

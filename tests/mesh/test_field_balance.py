@@ -10,7 +10,7 @@ import pytest
 import amrpic
 from amrpic import _native
 from amrpic.mesh.boxes import cells_of
-from amrpic.parallel import VirtualRank
+from exact.virtual_rank import VirtualRank
 from regions import blocks_of
 
 BLOCK = 8

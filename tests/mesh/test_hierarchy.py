@@ -9,7 +9,8 @@ from mpi4py import MPI
 import amrpic
 from amrpic import _native
 from amrpic.errors import AmrpicError, HierarchyError
-from amrpic.parallel import VirtualRank, traffic
+from amrpic.parallel import traffic
+from exact.virtual_rank import VirtualRank, seen_by
 
 DOMAIN = amrpic.Domain((0, 0, 0), (1, 1, 1), (16, 16, 16))
 MIDDLE = [((8, 8, 8), (23, 23, 23))]
@@ -74,7 +75,7 @@ def test_virtual_ranks_have_the_boxes_of_real_ones(comm):
     levels = [MIDDLE, [((24, 24, 24), (39, 39, 39))]]
     real = amrpic.Hierarchy(comm, DOMAIN, levels, max_grid_size=8)
     first = amrpic.Hierarchy(VirtualRank(0, comm.size), DOMAIN, levels, max_grid_size=8)
-    for unreal in first.seen_by(comm.rank), amrpic.Hierarchy(VirtualRank(comm.rank, comm.size), DOMAIN, levels, 8):
+    for unreal in seen_by(first, comm.rank), amrpic.Hierarchy(VirtualRank(comm.rank, comm.size), DOMAIN, levels, 8):
         assert (unreal.comm.rank, unreal.comm.size) == (comm.rank, comm.size)
         for level in range(3):
             assert np.array_equal(unreal.boxes(level), real.boxes(level))
@@ -102,9 +103,9 @@ def test_virtual_ranks_count_what_they_would_send():
     with pytest.raises(AmrpicError, match="rank 3 of 720 is virtual and has no Ibarrier"):
         mesh.comm.Ibarrier()
     with pytest.raises(ValueError, match="virtual rank 720 is not one of 720; give one from 0 to 719"):
-        mesh.seen_by(720)
+        seen_by(mesh, 720)
     with pytest.raises(HierarchyError, match="ranks that run"):
-        hierarchy().seen_by(0)
+        seen_by(hierarchy(), 0)
 
 
 def test_given_base_boxes_are_taken_as_they_are():

@@ -385,7 +385,7 @@ def test_flights_that_pass_an_end_are_known(name):
     fields = ExternalFields([HARD[name]])
     position, velocity, _, _ = flights(3, 1000)
     dt = 5e-11
-    ends = fields.edges(position, velocity, -dt, dt)[4]
+    ends = fields.native.edges(position, velocity, -dt, dt)[4]
     z = position[:, 2:] + velocity[:, 2:] * np.array([-dt, dt])
     inside = np.abs(z) < 0.1
     assert np.array_equal(ends == 1, (inside[:, 0] != inside[:, 1]) | (~inside.any(axis=1) & (z[:, 0] * z[:, 1] < 0)))
@@ -547,12 +547,13 @@ def test_field_without_ends_is_everywhere_and_taken_at_the_place():
 
 def test_no_elements_give_no_field():
     fields = ExternalFields()
-    assert not fields.electric and not fields.magnetic
+    assert not fields.native.electric and not fields.native.magnetic
     assert not np.hstack(fields.fields(np.zeros((3, 3)))).any()
 
 
 def test_elements_say_which_fields_they_have():
-    has = {name: (ExternalFields([one]).electric, ExternalFields([one]).magnetic) for name, one in EVERY.items()}
+    natives = {name: ExternalFields([one]).native for name, one in EVERY.items()}
+    has = {name: (native.electric, native.magnetic) for name, native in natives.items()}
     assert has["quadrupole"] == (False, True) and has["hard focusing"] == (True, False)
     assert has["rf-gap"] == (True, True) and has["static gap"] == (True, False)
 
@@ -569,7 +570,7 @@ def rotated(v: np.ndarray, B: np.ndarray, duration: float) -> np.ndarray:
 
 def half_kick(fields: ExternalFields, x: np.ndarray, v: np.ndarray, start: float, stop: float) -> tuple[Any, Any]:
     """What a half step does to places and velocities: planes where the flight enters, inside, planes where it leaves."""
-    first, last, when, normal, _ = fields.edges(x, v, start, stop)
+    first, last, when, normal, _ = fields.native.edges(x, v, start, stop)
     inside = fields.means(x, v, 0.0, start, stop)[1] - first - last
     duration = stop - start
     entered = rotated(v, first, duration)

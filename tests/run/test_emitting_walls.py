@@ -154,7 +154,7 @@ def test_a_layer_at_the_wall_is_refined_within_the_spot(rule, depths):
 
 
 @pytest.mark.parametrize(
-    ("rule", "words"), [({}, "must be given"), ({"depth": 1, "cells": 2}, "as well as"), ({"cells": 2}, "none does")]
+    ("rule", "words"), [({}, "is missing"), ({"depth": 1, "cells": 2}, "as well as"), ({"cells": 2}, "none does")]
 )
 def test_bad_rules_for_emission_are_refused_in_one_sentence(rule, words):
     sources: dict[str, Any] = {"sources": []} if words == "none does" else {}

@@ -68,7 +68,7 @@ def test_a_direct_current_comes_evenly():
         ({"energy": None}, "energy"),
         ({"twiss": None}, "twiss"),
         ({"twiss": {"x": TWISS["x"]}}, "y is missing"),
-        ({"twiss": {**TWISS, "x": {"emittance": 1e-6}}}, "must be given, or else sigma"),
+        ({"twiss": {**TWISS, "x": {"emittance": 1e-6}}}, "is missing, as is sigma"),
         ({"spot": {"shape": "disc", "radius": 1}}, "spot"),
         ({"distribution": "round"}, "distribution"),
         ({"energy_spread": -1}, "energy_spread"),

@@ -120,7 +120,7 @@ def test_units(text, kind, value):
         ({"kind": "cavity", "length": 1, "field": 1e6, "frequency": -1}, "frequency (-1.0) is not greater"),
         ({"kind": "rf-gap", "length": 1, "voltage": 1e6, "phase": 1}, "phase (1.0) means nothing without a frequency"),
         ({"kind": "map"}, "file is missing"),
-        ({"kind": "constant-focusing"}, "gradient ('nothing') is missing; give gradient or wavenumber"),
+        ({"kind": "constant-focusing"}, "gradient is missing, as is wavenumber; give gradient or wavenumber"),
         ({"kind": "constant-focusing", "gradient": 1, "wavenumber": 1}, "is given as well as wavenumber"),
     ],
 )

@@ -169,7 +169,7 @@ def test_bad_override_names_itself(assignment):
         ),
         (
             {"bunches": [{**BUNCH, "sigma": None, "twiss": {**TWISS, "y": {"emittance": 1e-6}}}]},
-            ["twiss.y.beta", "or else sigma"],
+            ["twiss.y.beta is missing, as is sigma"],
         ),
         ({"bunches": [{**BUNCH, "distribution": "hollow", "inner": 1}]}, ["bunches.0.inner", "less than 1"]),
         ({"bunches": [{"distribution": "openpmd"}]}, ["bunches.0.file", "missing"]),

@@ -124,7 +124,7 @@ def test_wave_number_is_that_of_the_element():
         ({"sigma": 1e-3, "emittance": 1e-6}, "sigma and emittance is given; give one of"),
         ({"sigma": 1e-3}, "is less than 0.001499 m"),
         ({"sigma": 1e-3, "gradient": 1e5}, "does not focus particles of -1.60218e-19 C"),
-        ({"sigma": 1e-3, "gradient": None}, "bunches.0.gradient ('nothing') is missing; give gradient or wavenumber"),
+        ({"sigma": 1e-3, "gradient": None}, "bunches.0.gradient is missing, as is wavenumber"),
         ({"sigma": 1e-3, "wavenumber": 3.0}, "is given as well as wavenumber"),
         ({"sigma": 1e-3, "gradient": None, "wavenumber": 3.0}, "needs a mean momentum"),
         ({"sigma": 1e-3, "velocity": [1e6, 0, 0]}, "bunches.0.velocity ([1000000.0, 0.0, 0.0]) is not along z"),

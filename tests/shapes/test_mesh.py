@@ -10,6 +10,7 @@ import stl
 from amrpic import Electrode, shapes
 from amrpic.conductors.arms import arms_of_boxes
 from amrpic.errors import InputError
+from arms_of_one_box import of_box
 
 BALL = shapes.Sphere((0, 0, 0), 1)
 
@@ -126,7 +127,7 @@ def test_arms_of_triangles_do_not_depend_on_boxes():
     arms, _ = arms_of_boxes(electrodes, parts, -1.25, 2.5 / 16)
     theta = np.full((16, 16, 16, 6), np.inf)
     for number, box in enumerate(parts):
-        own = arms.of_box(number)
+        own = of_box(arms, number)
         k, j, i = np.unravel_index(own.cell, (4, 8, 4))
         theta[k + box[2], j + box[1], i + box[0]] = own.theta
     expected = np.full((4096, 6), np.inf)

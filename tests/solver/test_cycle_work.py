@@ -13,8 +13,9 @@ from mpi4py import MPI
 
 import amrpic
 from amrpic import _native
-from amrpic.parallel import Traffic, VirtualRank, traffic
+from amrpic.parallel import Traffic, traffic
 from amrpic.scene.solver_options import SolverOptions
+from exact.virtual_rank import VirtualRank
 from hierarchies import Case, all_cases
 
 CASES = dict(sorted(all_cases().items())[::6])

@@ -446,8 +446,8 @@ STATIC = {"kind": "static", "boxes": [DEEP]}
 REFUSED: dict[str, tuple[dict[str, Any], list[str]]] = {
     "level too high": ({"rule": {**CHARGE, "levels": [0, 2]}}, ["rule.levels ([0, 2])", "2 refined levels", "below 2"]),
     "level below 0": ({"rule": {**CHARGE, "levels": [-1]}}, ["rule.levels.0 (-1)"]),
-    "two thresholds": ({"rule": {**CHARGE, "absolute": 1}}, ["rule.relative (0.1)", "as well as absolute"]),
-    "no threshold": ({"rule": {"kind": "potential"}}, ["rule.relative", "or else absolute", "add one"]),
+    "two thresholds": ({"rule": {**CHARGE, "absolute": 1}}, ["rule.relative is given as well as absolute"]),
+    "no threshold": ({"rule": {"kind": "potential"}}, ["rule.relative is missing, as is absolute; give relative or absolute"]),
     "relative to nothing": (
         {"rule": {"kind": "momentum", "absolute": "1 eV/c", "relative_to": "level"}},
         ["rule.relative_to ('level')", "beside absolute"],
@@ -459,7 +459,7 @@ REFUSED: dict[str, tuple[dict[str, Any], list[str]]] = {
     "no radius": ({"rule": {"kind": "radius", "axes": "xz"}}, ["rule.at_least must be given", "at_most"]),
     "unknown axes": ({"rule": {"kind": "radius", "at_most": 1, "axes": "r"}}, ["rule.axes ('r')", "use one of xy, "]),
     "any of nothing": ({"rule": {"kind": "any", "of": []}}, ["rule.of ([])", "names no rule"]),
-    "mistake inside": ({"rule": {"kind": "all", "of": [CHARGE, {"kind": "potential"}]}}, ["rule.of.1.relative must"]),
+    "mistake inside": ({"rule": {"kind": "all", "of": [CHARGE, {"kind": "potential"}]}}, ["rule.of.1.relative is missing"]),
     "unknown inside": (
         {"rule": {"kind": "any", "of": [{"kind": "all", "of": [{"kind": "potental"}]}]}},
         ["rule.of.0.of.0 ('potental')", 'did you mean "potential"'],

@@ -294,7 +294,6 @@ ShapeKind = Annotated[
 ]
 
 
-
 def anchor_files(part: Any, folder: Path) -> None:
     """Make paths of files in a table of shapes, and in those that it is made of, start at a folder."""
     for member in part.values() if isinstance(part, dict) else part if isinstance(part, list) else ():

@@ -314,5 +314,3 @@ def every_rule(rule: RuleKind, path: str = "rule") -> Iterator[tuple[str, RuleKi
     if isinstance(rule, RuleCombination):
         for number, part in enumerate(rule.of):
             yield from every_rule(part, f"{path}.of.{number}")
-
-

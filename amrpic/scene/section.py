@@ -52,7 +52,9 @@ class Section(BaseModel, metaclass=_Sentences):
 
     foreign: ClassVar[Mapping[str, str]] = {}  # keys that belong elsewhere, and what to do about them
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=True, defer_build=True)
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=True, defer_build=True
+    )
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:

@@ -9,7 +9,7 @@ import pytest
 from mpi4py import MPI
 
 from amrpic.errors import SceneError
-from amrpic.pic.emitters import Span
+from amrpic.pic.emitters import OfSurface, Span
 from amrpic.pic.simulation import Simulation
 from amrpic.scene.scene import Scene
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE, SPEED_OF_LIGHT
@@ -232,7 +232,9 @@ def test_a_spot_on_a_wall_goes_on_across_periodic_faces(given):
             MPI.COMM_SELF, scene({**given, **limit, "spot": spot}, domain={**GAP, "potential": {"z": [0, 9]}})
         )
         run.advance(2)
-        areas.append(run._setup.emitters[0]._on_wall.area.sum())
+        [emitter] = run._setup.emitters
+        assert isinstance(emitter, OfSurface) and emitter._on_wall is not None
+        areas.append(emitter._on_wall.area.sum())
         charges.append(run.state.tallies.of[0].charge)
     assert areas == pytest.approx([areas[0]] * 3, rel=1e-12) and areas[0] == pytest.approx(np.pi * 9e-8, rel=0.02)
     assert charges == pytest.approx([charges[0]] * 3, rel=0.05)

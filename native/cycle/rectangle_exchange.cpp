@@ -138,42 +138,52 @@ std::int64_t RectangleExchange::places(Box const& cells) const {
 }
 
 /// Where the cells of each rectangle lie; `shifted`: as copies, else as they are owned.
-std::vector<RectangleExchange::Packed> RectangleExchange::packed(std::vector<CopiedRectangle> const& rectangles,
-                                                                 bool shifted, ForEachPart const& for_each_part) const {
-  std::vector<Packed> out;
+RectangleExchange::Packed RectangleExchange::packed(std::vector<CopiedRectangle> const& rectangles, bool shifted,
+                                                    ForEachPart const& for_each_part) const {
+  Packed out;
+  out.rectangles.reserve(rectangles.size());
+  out.parts.reserve(rectangles.size());
   for (CopiedRectangle const& rectangle : rectangles) {
     Box const box = shifted ? rectangle.cells.shift(rectangle.shift) : rectangle.cells;
-    Placement const message = dense(extent_of(box));
-    Packed& parts = out.emplace_back();
-    parts.cells = std::size_t(box.cells());
-    parts.extent = extent_of(box);
-    parts.parcel = {rectangle.rank, places(box)};
-    parts.parity = (box.lower[0] + box.lower[1] + box.lower[2] + int(colours_)) & 1;
+    int const first = int(out.parts.size()), parity = (box.lower[0] + box.lower[1] + box.lower[2] + int(colours_)) & 1;
     for_each_part(box, [&](Box const& part, Placement const& at) {
-      Index3 const first = steps(box.lower, part.lower);
-      parts.parts.push_back({extent_of(part), at, from(message, first), first});
+      out.parts.push_back({extent_of(part), steps(box.lower, part.lower), at});
     });
+    out.rectangles.push_back(
+        {first, int(out.parts.size()) - first, extent_of(box), parity, {rectangle.rank, places(box)}});
   }
+  out.parts.shrink_to_fit();
   return out;
+}
+
+template <class F>
+void RectangleExchange::for_each_part_of(Packed const& packed, std::size_t n, F&& f) {
+  Packed::Rectangle const& rectangle = packed.rectangles[n];
+  Placement const message = dense(rectangle.extent);
+  Packed::Part const* part = packed.parts.data() + rectangle.first_part;
+  for (Packed::Part const* const end = part + rectangle.parts; part != end; ++part)
+    f(*part, from(message, part->first));
 }
 
 RectangleExchange::Lists RectangleExchange::lists() const {
   Lists out;
   for (Pair const& l : local_)
-    for_each_row(l.extent, l.at, l.packed, [&](auto at, auto copy, int length) {
+    for_each_row(l.extent, l.at, l.copy, [&](auto at, auto copy, int length) {
       for (int i = 0; i < length; ++i) out.local.emplace_back(at + i, copy + i);
     });
-  auto const list = [&](std::vector<Packed> const& rectangles, Lists::Pairs& pairs, std::vector<Parcel>& parcels) {
+  auto const list = [&](Packed const& all, Lists::Pairs& pairs, std::vector<Parcel>& parcels) {
     std::ptrdiff_t first = 0;
-    for (Packed const& rectangle : rectangles) {
-      for (Pair const& p : rectangle.parts)
+    for (std::size_t n = 0; n < all.rectangles.size(); ++n) {
+      Packed::Rectangle const& rectangle = all.rectangles[n];
+      for_each_part_of(all, n, [&](Packed::Part const& p, Placement const& message) {
         if (colours_ == Colours::all)
-          for_each_row(p.extent, p.at, p.packed, [&](auto at, auto packed, int length) {
+          for_each_row(p.extent, p.at, message, [&](auto at, auto packed, int length) {
             for (int i = 0; i < length; ++i) pairs.emplace_back(at + i, first + packed + i);
           });
         else
           for_each_of_colour(rectangle.extent, rectangle.parity, p.extent, p.first, p.at,
                              [&](auto at, auto packed) { pairs.emplace_back(at, first + packed); });
+      });
       parcels.push_back(rectangle.parcel);
       first += rectangle.parcel.values;
     }
@@ -185,29 +195,33 @@ RectangleExchange::Lists RectangleExchange::lists() const {
 
 void RectangleExchange::start(float const* cells, float* copies) const {
   exchange_.start([&](std::size_t n, float* out) {
-    Packed const& asked = asked_[relays_ ? std::size_t(relays_->plan.sent_first[n].own) : n];
-    for (Pair const& p : asked.parts)
+    std::size_t const number = relays_ ? std::size_t(relays_->plan.sent_first[n].own) : n;
+    Packed::Rectangle const& asked = asked_.rectangles[number];
+    for_each_part_of(asked_, number, [&](Packed::Part const& p, Placement const& message) {
       if (colours_ == Colours::all)
-        for_each_row(p.extent, p.at, p.packed,
+        for_each_row(p.extent, p.at, message,
                      [&](auto at, auto packed, int length) { copy_row(cells + at, length, out + packed); });
       else
         for_each_of_colour(asked.extent, asked.parity, p.extent, p.first, p.at,
                            [&](auto at, auto packed) { out[packed] = cells[at]; });
+    });
   });
   for (Pair const& l : local_)
-    for_each_row(l.extent, l.at, l.packed,
+    for_each_row(l.extent, l.at, l.copy,
                  [&](auto at, auto copy, int length) { copy_row(cells + at, length, copies + copy); });
 }
 
 /// Take the values of a rectangle that this rank reads.
 void RectangleExchange::unpack(std::size_t n, float const* in, float* copies) const {
-  for (Pair const& p : wanted_[n].parts)
+  Packed::Rectangle const& wanted = wanted_.rectangles[n];
+  for_each_part_of(wanted_, n, [&](Packed::Part const& p, Placement const& message) {
     if (colours_ == Colours::all)
-      for_each_row(p.extent, p.packed, p.at,
+      for_each_row(p.extent, message, p.at,
                    [&](auto packed, auto at, int length) { copy_row(in + packed, length, copies + at); });
     else
-      for_each_of_colour(wanted_[n].extent, wanted_[n].parity, p.extent, p.first, p.at,
+      for_each_of_colour(wanted.extent, wanted.parity, p.extent, p.first, p.at,
                          [&](auto at, auto packed) { copies[at] = in[packed]; });
+  });
 }
 
 void RectangleExchange::finish(float* copies) const {
@@ -230,19 +244,21 @@ void RectangleExchange::finish(float* copies) const {
 
 void RectangleExchange::add(float const* copies, float* cells) const {
   for (Pair const& l : local_)
-    for_each_row(l.extent, l.packed, l.at,
+    for_each_row(l.extent, l.copy, l.at,
                  [&](auto copy, auto at, int length) { add_row(copies + copy, length, cells + at); });
   exchange_.fold(
       [&](std::size_t n, float* out) {  // of cells with several copies, the sum
-        std::fill_n(out, wanted_[n].cells, 0.0f);
-        for (Pair const& p : wanted_[n].parts)
-          for_each_row(p.extent, p.at, p.packed,
+        std::fill_n(out, wanted_.rectangles[n].parcel.values, 0.0f);
+        for_each_part_of(wanted_, n, [&](Packed::Part const& p, Placement const& message) {
+          for_each_row(p.extent, p.at, message,
                        [&](auto at, auto packed, int length) { add_row(copies + at, length, out + packed); });
+        });
       },
       [&](std::size_t n, float const* in) {
-        for (Pair const& p : asked_[n].parts)
-          for_each_row(p.extent, p.packed, p.at,
+        for_each_part_of(asked_, n, [&](Packed::Part const& p, Placement const& message) {
+          for_each_row(p.extent, message, p.at,
                        [&](auto packed, auto at, int length) { add_row(in + packed, length, cells + at); });
+        });
       });
 }
 

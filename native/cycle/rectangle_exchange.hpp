@@ -67,21 +67,30 @@ class RectangleExchange {
   std::set<int> const& neighbours() const { return neighbours_; }  ///< ranks that this one exchanges values with
 
  private:
-  /// Values of a rectangle in two places.
+  /// Cells of this rank and a copy of them, both in rectangles of memory.
   struct Pair {
     Index3 extent;
-    Placement at, packed;  ///< in memory, and in the message
-    Index3 first{};        ///< of one colour: from the rectangle's first cell
+    Placement at, copy;
   };
+  /// What passes, rectangle by rectangle: of small boxes there are thousands.
   struct Packed {
-    std::vector<Pair> parts;
-    std::size_t cells;
-    Index3 extent;
-    int parity;     ///< of the cells that pass, counted from the first one
-    Parcel parcel;  ///< what of it passes
+    struct Part {
+      Index3 extent, first;  ///< the latter from the rectangle's first cell
+      Placement at;          ///< in memory
+    };
+    struct Rectangle {
+      int first_part, parts;
+      Index3 extent;
+      int parity;     ///< of the cells that pass, counted from the first one
+      Parcel parcel;  ///< what of it passes
+    };
+    std::vector<Rectangle> rectangles;
+    std::vector<Part> parts;
   };
-  std::vector<Packed> packed(std::vector<CopiedRectangle> const& rectangles, bool shifted,
-                             ForEachPart const& for_each_part) const;
+  Packed packed(std::vector<CopiedRectangle> const& rectangles, bool shifted, ForEachPart const& for_each_part) const;
+  /// Call f(part, where it lies in the message) for the parts of a rectangle.
+  template <class F>
+  static void for_each_part_of(Packed const& packed, std::size_t n, F&& f);
   std::int64_t places(Box const& cells) const;
   void plan_with_relays(Communicator const& comm, CopiesAcrossRanks const& across, Routes const& routes);
   std::vector<Parcel> parcels(std::vector<CopiedRectangle> const& rectangles);
@@ -97,8 +106,8 @@ class RectangleExchange {
 
   Colours colours_ = Colours::all;
   std::set<int> neighbours_;
-  std::vector<Pair> local_;  ///< cells, and the copy
-  std::vector<Packed> asked_, wanted_;
+  std::vector<Pair> local_;
+  Packed asked_, wanted_;
   Exchange<float> exchange_;
   std::unique_ptr<Relays> relays_;  ///< none where all pass directly
 };

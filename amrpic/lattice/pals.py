@@ -26,6 +26,7 @@ KNOWN = MAGNETS | PLACES | {"Drift", "Bend", "SBend", "RBend", "Solenoid", "RFCa
 IGNORED = {"MetaP", "TwissP", "FloorP", "TrackingP", "kind", "length", "inherit", "repeat", "direction", "name"}
 STRENGTH = re.compile(r"([BK])([ns])(\d+)(L?)$")
 DEEPEST = 100  # lines within lines
+MOST = 1_000_000  # elements of a line
 
 
 def read(file: str, line: str | None = None) -> Beamline:
@@ -59,6 +60,7 @@ class _File:
         self.definitions: dict[str, Definition] = {}
         self.names: dict[str, float] = {}
         self.lattices: list[str] = []
+        self.count = 0  # of elements that lines have been expanded to
         self.of_members(members)
 
     def of_members(self, members: list[Any]) -> None:
@@ -156,15 +158,25 @@ class _File:
             if "placement" in keys:
                 self.refuse(f"{label} in {name} has a placement, which is not understood; put drifts before it")
             element = self.resolved(label, keys)
-            repeat = int(self.number(keys.get("repeat", 1), f"repeat of {label}"))
+            repeat = self.repeat(label, keys)
             backwards = reversed_ != (self.number(keys.get("direction", 1), f"direction of {label}") < 0)
             for _ in range(abs(repeat)):
                 if element.get("kind") != "BeamLine":
+                    self.count += 1
+                    if self.count > MOST:
+                        self.refuse(f"its line has more than {MOST} elements, with {label} in {name}; correct repeat")
                     yield label, element, backwards
                     continue
                 inner = str(keys.get("inherit", label))
                 members = list(self.expanded(inner, backwards, depth + 1))
                 yield from reversed(members) if repeat < 0 else members
+
+    def repeat(self, label: str, keys: Definition) -> int:
+        """Return how often an item of a line follows itself, negative: backwards."""
+        times = self.number(keys.get("repeat", 1), f"repeat of {label}")
+        if times != int(times):
+            self.refuse(f"repeat of {label} is {times:g}; give a whole number")
+        return int(times)
 
     def require_known(self, name: str, keys: Definition, allowed: set[str]) -> None:
         for key in keys:

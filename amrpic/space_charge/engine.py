@@ -47,7 +47,7 @@ class SpaceCharge:
     `rule`: what is refined, as in scenes: a rule of `amrpic`, a dictionary, or a function of x, y, z, rho, …; by default where
     |ρ| exceeds a thousandth of its largest value.
     `regrid_every`: calls of `field` and `kick` after which the refined levels follow the bunch; 0: never. Particles that leave
-    an open domain, and a bunch that has become half as long at a regrid, bring about a new one.
+    an open domain, and a bunch that has become half as long at a regrid, or a quarter at once, bring about a new one.
     `tolerance`: of the solve: "discretization" stops at a tenth of the error that the mesh makes; a number bounds the residual.
     `form`: "3d"; nothing else yet.
     `shape`, `compensation`: of the particles' clouds, as in scenes: [particles]. With "clouds-and-mesh" the solver is of fourth
@@ -251,8 +251,8 @@ class SpaceCharge:
         """Make a mesh of the base alone on a new domain, and choose its levels and the clouds. Collective."""
         domain, memory = self._placing.domain, self._memory
         assert domain is not None
-        number, rms = sizes_of(comm, taken.position, taken.charge, extent)
-        levels = levels_for(domain, rms, extent.count) if self._auto_levels else self._levels
+        count, number, rms = sizes_of(comm, taken.position, taken.charge, extent.magnitude, domain)
+        levels = levels_for(domain, rms, count) if self._auto_levels else self._levels
         memory.refinement = memory.refinement.model_copy(update={"levels": levels})
         widths = domain.spacing / 2**levels
         _require_density(extent, widths)

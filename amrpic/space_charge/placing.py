@@ -11,12 +11,14 @@ import numpy as np
 
 from ..errors import InputError
 from ..mesh.domain import AXES, Domain
+from ..mesh.periods import middle, nearest
 from ..parallel import Communicator, global_sums_and_largest
 from ..particles.frame import SLOW
 from .callers_arrays import ColumnSums
 
 ROOM = 0.1  # of the extent, beside it at either side
 LEAST_PART = 0.5  # of the extent that the mesh was made for, below which it is made anew at a regrid
+FAR_TOO_SMALL = 0.25  # of that of the particles, below which it is made anew at once
 FLATTEST = 1e-3  # least extent of the mesh along an axis over the largest
 NO_SIZE = 1e-9  # extent over the largest, below which it is rounding
 POINT = (
@@ -65,13 +67,43 @@ def extent_of(
     )
 
 
-def sizes_of(comm: Communicator, position: np.ndarray, charge: np.ndarray, extent: Extent) -> tuple[float, np.ndarray]:
-    """Return how many equal particles would scatter as particles at (k, 3) do, and the rms sizes (3,) in m. Collective."""
-    weight = np.abs(charge) / (extent.magnitude or 1.0)
-    sums = [float(weight @ weight), *position.sum(axis=0), *np.einsum("kd,kd->d", position, position)]
-    square, *moments = comm.allreduce(np.array(sums)).tolist()
-    mean, squares = np.array(moments).reshape(2, 3) / max(extent.count, 1)
-    return (1.0 / square if square > 0 else 0.0), np.sqrt(np.maximum(squares - mean**2, 0.0))
+class Sizes(NamedTuple):
+    """Those of the particles that lie in a domain, on all ranks."""
+
+    inside: int  # their number
+    equal: float  # number of equal particles that would scatter as these do
+    rms: np.ndarray  # (3,) m
+
+
+def sizes_of(comm: Communicator, position: np.ndarray, charge: np.ndarray, magnitude: float, domain: Domain) -> Sizes:
+    """Return the sizes of particles at (k, 3) in m that lie in a domain, where space repeats those of images beside each other.
+
+    `magnitude`: Σ |q| of all ranks, C. Collective.
+    """
+    if any(domain.periodic):
+        position = _together(comm, position, domain)
+    wall = ~np.array(domain.periodic)
+    inside = ((position >= domain.lower) & (position <= domain.upper))[:, wall].all(axis=1)
+    position, weight = position[inside], np.abs(charge[inside]) / (magnitude or 1.0)
+    sums = [len(position), float(weight.sum()), float(weight @ weight)]
+    moments = [*position.sum(axis=0), *np.einsum("kd,kd->d", position, position)]
+    count, weights, squares, *moments = comm.allreduce(np.array([*sums, *moments])).tolist()
+    mean, square = np.array(moments).reshape(2, 3) / max(count, 1)
+    return Sizes(int(count), weights**2 / squares if squares > 0 else 0.0, np.sqrt(np.maximum(square - mean**2, 0.0)))
+
+
+def _together(comm: Communicator, position: np.ndarray, domain: Domain) -> np.ndarray:
+    """Return the images of places that are nearest to their middle along periodic axes, or in the domain. Collective."""
+    lower, length = np.array(domain.lower), np.array(domain.upper) - domain.lower
+    turns = 2 * np.pi * (position - lower) / length
+    sums = comm.allreduce(np.array([np.full(3, len(position)), np.cos(turns).sum(axis=0), np.sin(turns).sum(axis=0)]))
+    out = position.copy()
+    for axis in np.flatnonzero(domain.periodic):
+        count, cosine, sine = sums[:, axis]
+        place = middle(cosine / max(count, 1), sine / max(count, 1), max(count, 1))[0]
+        centre = lower[axis] + (place if np.isfinite(place) else 0.5) * length[axis]
+        out[:, axis] = centre + nearest(position[:, axis] - centre, domain.period(int(axis)))
+    return out
 
 
 class Coordinates(NamedTuple):
@@ -94,6 +126,7 @@ class Placing:
     def __init__(self, domain: Domain | None, cells: tuple[int, int, int] | None) -> None:
         self._given, self._cells = domain, cells
         self._extent = self._room = np.zeros(3)  # that the domain was made for, and that it is made for
+        self._bunch = np.zeros(3)  # of the particles that it was made for, m
         self.domain: Domain | None = None
         self.centre, self.gamma = np.zeros(3), 1.0
 
@@ -135,13 +168,14 @@ class Placing:
         centre, scale = self._centre(extent), self._scale(gamma)
         lower, upper = ((end - centre) * scale for end in extent.reach)
         inside = (lower >= domain.lower + domain.spacing).all() and (upper <= domain.upper - domain.spacing).all()
-        return bool(inside and not (tighten and (upper - lower < LEAST_PART * self._extent).any()))
+        shrunk = (_bunch(extent, gamma) < FAR_TOO_SMALL * self._bunch).any()
+        return bool(inside and not shrunk and not (tighten and (upper - lower < LEAST_PART * self._extent).any()))
 
     def _around(self, extent: Extent, gamma: float) -> Domain:
         scale = self._scale(gamma)
         lower, upper = (end * scale for end in extent.reach)
         largest = float((upper - lower).max()) or POINT * (float(np.abs(lower).max()) or 1.0)
-        self._extent, self.gamma = upper - lower, gamma
+        self._extent, self._bunch, self.gamma = upper - lower, _bunch(extent, gamma), gamma
         thin = self._extent <= NO_SIZE * largest  # nothing says how fine: as along the others
         room = np.where(thin, largest, np.maximum(self._extent, FLATTEST * largest))
         cells = np.array(self._cells or np.where(room > LONG * room.min(), 2 * CELLS, CELLS))
@@ -152,6 +186,12 @@ class Placing:
         # a step that the mesh moves along by, and two cells, which clouds need between particles and faces
         half = self._room * (0.5 + ROOM + 1 / STEPS) * (1 + 4 / cells.min())
         return Domain(tuple(middle - half), tuple(middle + half), tuple(cells.tolist()))
+
+
+def _bunch(extent: Extent, gamma: float) -> np.ndarray:
+    """Return the extent (3,) in m of particles where they are at rest, as a mesh sees it: none is much flatter than long."""
+    of_particles = (extent.upper - extent.lower) * (1.0, 1.0, gamma)
+    return np.maximum(of_particles, FLATTEST * of_particles.max())
 
 
 def _at_rest(domain: Domain, gamma: float) -> Domain:

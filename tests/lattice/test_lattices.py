@@ -90,6 +90,17 @@ def test_what_is_not_understood_is_refused(tmp_path, line, what):
     assert "\n" not in str(refused.value)
 
 
+@pytest.mark.parametrize("repeat, what", [("2.5", "whole number"), ("10000", "more than 1000000 elements")])
+def test_a_line_repeats_so_often_as_can_be(tmp_path, repeat, what):
+    text = f"""
+    - a: {{kind: Drift, length: 0.1}}
+    - cell: {{kind: BeamLine, line: [a: {{repeat: {repeat}}}]}}
+    - all: {{kind: BeamLine, line: [begin, cell: {{repeat: 10000}}]}}
+"""
+    with pytest.raises(InputError, match=what):
+        line_of(tmp_path, text)
+
+
 def test_what_has_no_counterpart_is_refused_by_name_and_place_or_is_a_drift(tmp_path):
     file = written(
         tmp_path,

@@ -121,6 +121,20 @@ def test_what_lies_outside_a_given_domain_is_counted():
     assert charges.outside == 1
 
 
+def test_levels_are_those_of_what_lies_in_a_domain_whichever_images_it_is_given_by():
+    domain = amrpic.Domain(-0.02, 0.02, 16, {"x": "dirichlet", "y": "dirichlet", "z": "periodic"})
+    places, turn = bunch(500), np.random.default_rng(2).integers(-9, 10, 500)
+    levels, found = [], []
+    for middle, images, strays in ((0.0, 0, 0), (0.02, 0, 0), (0.0, turn, 0), (0.0, 0, 3)):
+        charges, moved = made(domain), places + np.array((0, 0, 1.0)) * (middle + 0.04 * np.reshape(images, (-1, 1)))
+        moved[:strays, 0] = 1e3
+        found.append(charges.field(*moved.T, CHARGE))
+        levels.append(charges.hierarchy.levels)
+    assert levels == [levels[0]] * 4 and levels[0] > 2
+    for other in found[1:3]:
+        assert other == pytest.approx(found[0], abs=1e-3 * np.abs(found[0]).max())
+
+
 def test_a_long_beam_repeats():
     """An even round beam that fills its period along z: E = λ r/(2πε₀R²) inside."""
     radius, period, number = 1e-3, 0.1, 2**15
@@ -254,6 +268,15 @@ def test_a_bunch_that_grows_or_shrinks_gets_a_mesh_that_fits():
         charges.field(*(scale * places).T, CHARGE)
         widths.append(charges.hierarchy.spacing(0)[0])
     assert widths[2] > 5 * widths[0] and widths[-1] < 0.1 * widths[0]
+
+
+def test_a_bunch_that_is_far_smaller_than_the_last_one_has_its_own_field_at_once():
+    charges, places = engine(regrid_every=0), bunch()
+    expected = engine().field(*places.T, CHARGE)
+    charges.field(*(20 * places).T, CHARGE)
+    assert charges.field(*places.T, CHARGE) == pytest.approx(expected, abs=1e-6 * np.abs(expected).max())
+    charges.field(*places.T, CHARGE, gamma=20.0)
+    assert charges.field(*places.T, CHARGE) == pytest.approx(expected, abs=1e-6 * np.abs(expected).max())
 
 
 def test_a_slow_ramp_of_gamma_costs_no_new_mesh():

@@ -28,7 +28,7 @@ END = 1.5  # m
 
 
 def write_map(path: Path, size: tuple[float, float], **records: dict[str, np.ndarray]) -> None:
-    """Records E (V/m) and B (T) of components r, t, z, arrays of shape (r, z) from the axis and the cathode out to `size`, m."""
+    """Records E (V/m) and B (T) of components r, t, z, of shape (r, z), from the axis and the cathode out to `size`, m."""
     units = {"E": [1.0, 1, -3, -1, 0, 0, 0], "B": [0.0, 1, -2, -1, 0, 0, 0]}
     with h5py.File(path, "w") as file:
         file.attrs.update({"openPMD": "1.1.0", "basePath": "/data/%T/", "meshesPath": "fields/"})
@@ -139,7 +139,9 @@ def our_figures(folder: Path) -> dict[str, float]:
     """The same of a run."""
     rows = np.genfromtxt(folder / "beam.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
     rows = rows[(rows["group"] == "cathode") & (rows["particles"] > 0)]
-    columns = {f"rms {axis}": f"rms_{axis}" for axis in "xyz"} | {f"emittance {axis}": f"emittance_{axis}" for axis in "xy"}
+    columns = {f"rms {axis}": f"rms_{axis}" for axis in "xyz"} | {
+        f"emittance {axis}": f"emittance_{axis}" for axis in "xy"
+    }
     found = figures(rows, "s", {**columns, "energy": "mean_energy"})
     return {**found, "energy": 1e-6 * found["energy"] / ELEMENTARY_CHARGE}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any
 
@@ -11,6 +12,7 @@ import scipy
 from mpi4py import MPI
 from test_emitting_walls import GAP, child, current, diode, hot
 
+import sheets
 from amrpic.pic.simulation import Simulation
 from amrpic.stages.wall_layer import WallLayer
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE
@@ -65,7 +67,7 @@ def injected(times: list[float], parts: list[float]) -> Simulation:
 @pytest.mark.long
 def test_a_beam_passes_a_gap_up_to_the_limit_of_bursian_and_falls_back_late():
     """All passes at 7.6 of Child's current, and a virtual cathode forms at 8.4: the limit is 8. It is still there at 6.6, and
-    gone at 3.8. A steady one could be there down to 4; this one swings, and goes at 5.9 where the current falls slowly."""
+    gone at 3.8."""
     times, parts = (
         [0.0, 10.0, 30.0, 35.0, 75.0, 85.0, 110.0, 120.0, 150.0],
         [0.0, 7.6, 7.6, 8.4, 8.4, 6.6, 6.6, 3.8, 3.8],
@@ -75,6 +77,54 @@ def test_a_beam_passes_a_gap_up_to_the_limit_of_bursian_and_falls_back_late():
         turned.append((state.time * SPEED / GAP, int((state.lost.cause == 4).sum())))
     at = np.interp([30.0, 75.0, 95.0, 110.0, 135.0, 150.0], *np.array(turned).T)
     assert at[0] == 0 < at[1] and at[2] < at[3] and at[4] == at[5]
+
+
+FALL = [0.0, 8.0, 30.0, 34.0, 40.0, 110.0], [0.0, 7.6, 8.8, 9.0, 8.0, 4.5]  # in flights, in Child's current
+
+
+def turned_back(course: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Middle of each flight, and the share of what arrived in it that came back, by rows of time, what came back and passed."""
+    edges = np.arange(0, course[-1, 0], 1.0)
+    back, passed = (np.diff(np.interp(edges, course[:, 0], course[:, k])) for k in (1, 2))
+    return edges[:-1] + 0.5, back / np.maximum(back + passed, 1e-30)
+
+
+@functools.cache
+def falls_back_at(model: str) -> float:
+    """Current of the last flight in which more than a twentieth was turned back, where it falls by 0.05 a flight."""
+    if model == "sheets":
+        course = sheets.course(*FALL)
+    else:
+        run = injected(*FALL)
+        course = np.array([(s.time * SPEED / GAP, *((s.lost.cause == k).sum() for k in (4, 5))) for s in run])
+    time, share = turned_back(course)
+    return float(np.interp(time[share > 0.05][-1], *FALL))
+
+
+@pytest.mark.long
+def test_a_virtual_cathode_goes_at_the_current_at_which_that_of_sheets_without_a_mesh_does():
+    """It swings, and when the last swing comes is chance: measured 6.1 and 5.8."""
+    assert falls_back_at("mesh") == pytest.approx(falls_back_at("sheets"), rel=0.1)
+    assert falls_back_at("sheets") == pytest.approx(5.8, rel=0.03)
+
+
+@pytest.mark.long
+@pytest.mark.xfail(
+    strict=True, reason="the steady flow with a virtual cathode is unstable: sheets without a mesh leave it too"
+)
+@pytest.mark.parametrize("model", ["mesh", "sheets"])
+def test_a_virtual_cathode_stays_down_to_half_of_the_limit_of_bursian(model):
+    assert falls_back_at(model) == pytest.approx(4.0, rel=0.05)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("current", [4.5, 5.0])
+def test_sheets_that_start_with_a_steady_virtual_cathode_leave_it(current):
+    """It turns back the share of the steady flow for two flights, and nothing after twenty."""
+    passed = scipy.optimize.brentq(lambda x: (2 * current - x) ** -0.5 + x**-0.5 - 1, 1.001, 4.0)
+    start = sheets.with_virtual_cathode(current, passed)
+    _, share = turned_back(sheets.course([0.0, 25.0], [current, current], start))
+    assert share[:2] == pytest.approx(1 - passed / current, rel=0.1) and share[20:].max() == 0
 
 
 def langmuir(share: float, supply: float) -> float:

@@ -39,9 +39,9 @@ LOOSE_CYCLES, LOOSE_VARIATION = 4, 2
 # on scattered holes of one block.
 SMALL_BLOCKS, GAP_CYCLES = 4, 4
 # Memory of a matrix-free solve: potential, charge, solver, plans for each box, which copies of levels of long cells have
-# too, what Python holds; and sixteen corrections with what they do to the residual, where slow cycles are combined
-# (docs/theory.md, "Slow cycles"). Around small blocks any coarse face may lie in a gap like no other, whose fit weighs up to
-# 168 fine cells, 40 bytes each. Each further rank has tables of its own for open faces.
+# too, those of few cells whole on each rank, what Python holds; and sixteen corrections with what they do to the residual,
+# where slow cycles are combined (docs/theory.md, "Slow cycles"). Around small blocks any coarse face may lie in a gap like
+# no other, whose fit weighs up to 168 fine cells, 40 bytes each. Each further rank has tables of its own for open faces.
 BYTES_PER_CELL, BYTES_PER_BOX, BYTES_PER_FIT, BYTES_FREE = 100, 4000, 168 * 40, 100e6
 BYTES_PER_OPEN_RANK = 10e6
 BYTES_OF_ACCELERATION = 128  # per cell
@@ -185,8 +185,8 @@ def judge(case: Case, found: Outcome, plain: Outcome) -> tuple[list[Failure], fl
             fail("lattice", ", ".join(f"{name} {error:.1e}" for name, error in errors.items()))
     for name, outcome, matrix_free in (("", found, case.backend == "matrix-free"), ("reference: ", plain, True)):
         per_cell = BYTES_PER_CELL + BYTES_OF_ACCELERATION * outcome.accelerated
-        boxes = outcome.boxes * (2 if case.levels and case.aspect_ratio > 1.8 else 1)
         solved = case.plain() if name else case
+        boxes = outcome.boxes * (1 + solved.ranks if case.levels and case.aspect_ratio > 1.8 else 1)
         fits = solved.most_fits_in_gaps if case.blocking_factor <= SMALL_BLOCKS else 0
         rows = outcome.cells // case.cells[0] if max(case.cells) > 256 else 0
         tables = BYTES_PER_OPEN_RANK * (solved.ranks - 1) * case.has_open

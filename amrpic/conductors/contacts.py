@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import combinations
 from typing import NamedTuple
 
@@ -62,23 +62,51 @@ def contacts(electrodes: Sequence[Conductor], lines: Sequence[Sequence[LineSpans
 
 def touching(first: LineSpans, second: LineSpans, slack: float) -> tuple[float, float, float] | None:
     """Return a place where the spans of two shapes on the same lines touch or overlap."""
-    common = np.intersect1d(first.key, second.key)
-    if not len(common):
-        return None
-    parts = []
-    for number, (_, keys, _, spans) in enumerate((first, second)):
-        chosen = np.flatnonzero(np.isin(keys, common)[spans.line])
-        line = spans.line[chosen]
-        parts.append((keys[line], spans.enter[chosen], spans.leave[chosen], line, np.full(len(line), number)))
-    key, enter, leave, line, owner = (np.concatenate(column) for column in zip(*parts, strict=True))
-    order = np.lexsort((enter, key))
-    key, enter, leave, line, owner = (column[order] for column in (key, enter, leave, line, owner))
-    # Spans of one shape are apart, so that those of two overlap only where neighbours in this order do.
-    near = (key[1:] == key[:-1]) & (owner[1:] != owner[:-1]) & (enter[1:] <= leave[:-1] + slack)
-    met = np.flatnonzero(near)
+    leave, enter, place = _between(first, second)
+    met = np.flatnonzero(enter <= leave + slack)
     if not len(met):
         return None
-    n = met[0] + 1
-    place = (first, second)[int(owner[n])].place[line[n]].copy()
-    place[first.axis] = enter[n] if np.isfinite(enter[n]) else leave[met[0]]
-    return float(place[0]), float(place[1]), float(place[2])
+    n = met[0]
+    place[n, first.axis] = enter[n] if np.isfinite(enter[n]) else leave[n]
+    x, y, z = place[n].tolist()
+    return x, y, z
+
+
+class Gap(NamedTuple):
+    """What lies between two electrodes on a line."""
+
+    width: float  # m
+    place: tuple[float, float, float]  # m, in its middle
+
+
+def narrowest(first: LineSpans, second: LineSpans, index: Callable[[Floats], Floats]) -> Gap | None:
+    """Return the narrowest gap between two shapes on the same lines in which no centre of a cell lies.
+
+    `index` returns the indices of cells with their centres at coordinates along the lines.
+    """
+    leave, enter, place = _between(first, second)
+    missed = np.flatnonzero((enter > leave) & (np.floor(index(leave)) + 1 >= index(enter)))
+    if not len(missed):
+        return None
+    width = (enter - leave)[missed]
+    narrow = missed[width <= (1 + 1e-9) * width.min()]
+    n = narrow[len(narrow) // 2]
+    place[n, first.axis] = (leave[n] + enter[n]) / 2
+    x, y, z = place[n].tolist()
+    return Gap(float(enter[n] - leave[n]), (x, y, z))
+
+
+def _between(first: LineSpans, second: LineSpans) -> tuple[Floats, Floats, Floats]:
+    """Return where the spans of one of two shapes end and those of the other begin next on the same lines, and these lines."""
+    common = np.intersect1d(first.key, second.key)
+    parts = []
+    for number, (_, keys, places, spans) in enumerate((first, second)):
+        chosen = np.flatnonzero(np.isin(keys, common)[spans.line])
+        line = spans.line[chosen]
+        parts.append((keys[line], spans.enter[chosen], spans.leave[chosen], np.full(len(line), number), places[line]))
+    key, enter, leave, owner, place = (np.concatenate(column) for column in zip(*parts, strict=True))
+    order = np.lexsort((enter, key))
+    key, enter, leave, owner, place = (column[order] for column in (key, enter, leave, owner, place))
+    # Spans of one shape are apart, so that those of two overlap only where neighbours in this order do.
+    near = np.flatnonzero((key[1:] == key[:-1]) & (owner[1:] != owner[:-1]))
+    return leave[near], enter[near + 1], place[near + 1]

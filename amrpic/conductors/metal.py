@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from ..parallel import together
 from ..shapes.spans import Floats
 from .arms import TOUCH, GrownBoxes, Lattice, arms_of_boxes, indices, trace
 from .conductor import Conductor
-from .contacts import Contact, apart, contacts, sentence
+from .contacts import Contact, LineSpans, apart, contacts, narrowest, sentence
 
 # Lines by which two electrodes are compared without a mesh: so many at least along each side of where both can be, halving the
 # spacing at most so often, and about so many at most along each axis.
@@ -88,25 +89,45 @@ def _digest(answer: Answer) -> bytes:
     return digest.digest()
 
 
-def refuse_contacts(electrodes: Sequence[Conductor], origin: Sequence[float], spacing: Sequence[float]) -> None:
+def refuse_contacts(electrodes: Sequence[Conductor], origin: Sequence[float], spacing: Sequence[float]) -> list[str]:
     """Raise InputError if electrodes of different voltages touch or overlap; the same on all ranks.
 
     What solvers look for on the lines of their meshes is looked for here wherever two electrodes can be, on those of cells of
-    this `spacing`, m, or of finer ones where few would pass there.
+    this `spacing`, m, or of finer ones where few would pass there. Returns a sentence on each two with a gap along an axis in
+    which no such cell has its centre: solvers miss the charge on its sides.
     """
+    cells, out = Lattice.of(origin, spacing), []
     for pair in apart(electrodes):
         two = [electrodes[number] for number in pair]
-        bounds = np.array([electrode.shape.bounds for electrode in two])
-        size = 2 * np.abs(bounds[np.isfinite(bounds)]).max(initial=0.0)  # of half spaces
-        lower, upper = np.clip(bounds[:, 0].max(axis=0), -size, size), np.clip(bounds[:, 1].min(axis=0), -size, size)
-        if (lower > upper + TOUCH * size).any():
+        lattice, lines = _lines_of_both(two, cells)
+        if not lines:
             continue
-        lattice = _lattice_through(np.maximum(upper - lower, 0.0), Lattice.of(origin, spacing))
-        ends = [[lattice.index(axis, place[axis]) for axis in range(3)] for place in (lower, upper)]
-        cells = GrownBoxes.around(np.array([[*np.floor(ends[0]), *np.ceil(ends[1])]], np.int64))
-        lines = [[trace(electrode.shape, cells, lattice, axis).lines for axis in range(3)] for electrode in two]
         for contact in contacts(two, lines, TOUCH * lattice.spacing):
             raise InputError(sentence(two, contact))
+        of_axes = (narrowest(one, other, partial(cells.index, one.axis)) for one, other in zip(*lines, strict=True))
+        gaps = [gap for gap in of_axes if gap is not None]
+        if gaps:
+            width, (x, y, z) = min(gaps)
+            out.append(
+                f"electrodes {two[0].name} and {two[1].name} are {width:.3g} m apart at ({x:.6g}, {y:.6g}, {z:.6g}) m, with no "
+                "centre of a cell between them there, so that the charge on both sides of the gap is missed; refine there"
+            )
+    return out
+
+
+def _lines_of_both(two: Sequence[Conductor], cells: Lattice) -> tuple[Lattice, list[list[LineSpans]]]:
+    """Return the lattice of lines by which two electrodes are compared where both can be, or between them if that is less than
+    a cell, and their spans on these lines along x, y and z; none where they are farther apart."""
+    bounds = np.array([electrode.shape.bounds for electrode in two])
+    size = 2 * np.abs(bounds[np.isfinite(bounds)]).max(initial=0.0)  # of half spaces
+    lower, upper = np.clip(bounds[:, 0].max(axis=0), -size, size), np.clip(bounds[:, 1].min(axis=0), -size, size)
+    if (lower > upper + cells.spacing).any():
+        return cells, []
+    lower, upper = np.minimum(lower, upper), np.maximum(lower, upper)
+    lattice = _lattice_through(upper - lower, cells)
+    ends = [[lattice.index(axis, place[axis]) for axis in range(3)] for place in (lower, upper)]
+    boxes = GrownBoxes.around(np.array([[*np.floor(ends[0]), *np.ceil(ends[1])]], np.int64))
+    return lattice, [[trace(electrode.shape, boxes, lattice, axis).lines for axis in range(3)] for electrode in two]
 
 
 def _lattice_through(extent: Floats, lattice: Lattice) -> Lattice:

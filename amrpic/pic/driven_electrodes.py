@@ -19,17 +19,20 @@ from ..stages.encounters import native_aperture
 from .records import Record
 
 
-def electrodes_of(comm: MPI.Comm, scene: Scene) -> tuple[Electrode, ...]:
-    """Return the electrodes of a scene, of which rank 0 reads files. Collective; InputError on all ranks."""
-    return from_rank_0(comm, partial(make_electrodes, scene), InputError) if scene.conductors else ()
+def electrodes_of(comm: MPI.Comm, scene: Scene) -> tuple[tuple[Electrode, ...], list[str]]:
+    """Return the electrodes of a scene, of which rank 0 reads files, and remarks on them. Collective; InputError on all."""
+    return from_rank_0(comm, partial(_compared, scene), InputError) if scene.conductors else ((), [])
 
 
 def make_electrodes(scene: Scene) -> tuple[Electrode, ...]:
     """Return the electrodes of a scene. Raises InputError for a file that is no shape, and for those that touch."""
+    return _compared(scene)[0]
+
+
+def _compared(scene: Scene) -> tuple[tuple[Electrode, ...], list[str]]:
     electrodes = tuple(conductor.value for conductor in scene.conductors)
     domain = scene.domain.value
-    refuse_contacts(electrodes, domain.lower, domain.spacing / 2**scene.refinement.levels)
-    return electrodes
+    return electrodes, refuse_contacts(electrodes, domain.lower, domain.spacing / 2**scene.refinement.levels)
 
 
 def obstacles_of(comm: MPI.Comm, scene: Scene, electrodes: Sequence[Electrode]) -> list[_native.Aperture | Electrode]:

@@ -77,9 +77,12 @@ class Setup:
 
 def set_up(comm: MPI.Comm, scene: Scene, fields: Sequence[FieldFunction] = ()) -> Setup:
     """Return the set-up of a scene and fields from Python. Collective; InputError on all ranks."""
-    comm, remarks, motion, electrodes = own(comm), Remarks(), scene.motion, electrodes_of(comm, scene)
+    comm, remarks, motion = own(comm), Remarks(), scene.motion
+    electrodes, gaps = electrodes_of(comm, scene)
     if fields and not motion.follows_fields:
         remarks.remark(f'fields from Python act on nothing, since motion.kind is "{motion.kind}"; set it to "leapfrog"')
+    for sentence in gaps:
+        remarks.remark(sentence)
     return Setup(
         comm,
         scene,

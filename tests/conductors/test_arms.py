@@ -203,6 +203,20 @@ def test_electrodes_a_thin_gap_apart_do_not_touch():
         refuse_contacts(pair, (0, 0, 0), (1, 1, 1))
 
 
+def test_gaps_without_a_centre_of_a_cell_are_said():
+    """Cells of width 1 have their centres at 0.5, 1.5, ..."""
+    below = shapes.Box((1, 1, 1), (4, 4, 4))
+    for upper, width in ((4.4, 0.4), (4.5, 0.5), (4.6, None), (6, None)):
+        said = refuse_contacts(metal(below, shapes.Box((1, 1, upper), (4, 4, 8))), (0, 0, 0), (1, 1, 1))
+        assert [f"{width:.3g} m apart" in sentence for sentence in said] == ([True] if width else [])
+    for pair in ((below, shapes.Box((5.2, 1, 1), (8, 4, 4))), (below, shapes.Box((4.2, 5, 1), (8, 8, 4)))):
+        assert refuse_contacts(metal(*pair), (0, 0, 0), (1, 1, 1)) == []  # a centre lies between; no line meets both
+    same = [
+        Electrode(name, shape, voltage=1) for name, shape in (("a", below), ("b", shapes.Box((1, 1, 4.1), (4, 4, 8))))
+    ]
+    assert refuse_contacts(same, (0, 0, 0), (1, 1, 1)) == []
+
+
 def test_half_spaces_and_far_electrodes_are_compared():
     plane, ball = shapes.Plane((0, 0, 1), (0, 0, 1)), shapes.Sphere((0, 0, 3), 1.9)
     refuse_contacts(

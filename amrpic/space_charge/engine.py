@@ -252,6 +252,7 @@ class SpaceCharge:
         domain, memory = self._placing.domain, self._memory
         assert domain is not None
         count, number, rms = sizes_of(comm, taken.position, taken.charge, extent.magnitude, domain)
+        domain = self._placing.suited(rms)
         levels = levels_for(domain, rms, count) if self._auto_levels else self._levels
         memory.refinement = memory.refinement.model_copy(update={"levels": levels})
         widths = domain.spacing / 2**levels

@@ -29,8 +29,15 @@ CELLS, LONG = 32, 2.0  # along an axis; twice as many where cells would be so ma
 STEPS = 64.0  # parts of the extent by which the mesh moves along, so that rounding of the mean moves nothing
 PER_SIZE = 8.0  # cells of the finest level per rms size
 REACH = 8.0  # rms sizes that the finest level is wide, about
-MOST_LEVELS = 8
+MOST_LEVELS = 16
 PER_PARTICLE, ANYHOW = 4, 300_000  # cells of the finest level that `levels_for` allows
+BINS, LEAST_BINS = 1024, 32  # of a look at where particles lie along an axis, and those that a stretch is told by
+CROWD, CROWD_SIZE = (
+    0.25,
+    0.6373,
+)  # a part of the particles, and the shortest stretch with it over the rms size of a normal bunch
+LONGEST = 3.0  # times as many cells per rms size along one axis as along another
+STRAY = 2.0  # times as large as by its densest quarter: what is far out decides the rms size then
 
 
 @dataclass(frozen=True)
@@ -72,7 +79,7 @@ class Sizes(NamedTuple):
 
     inside: int  # their number
     equal: float  # number of equal particles that would scatter as these do
-    rms: np.ndarray  # (3,) m
+    rms: np.ndarray  # (3,) m, that of a normal bunch as dense, where few particles far out make all the difference
 
 
 def sizes_of(comm: Communicator, position: np.ndarray, charge: np.ndarray, magnitude: float, domain: Domain) -> Sizes:
@@ -89,7 +96,33 @@ def sizes_of(comm: Communicator, position: np.ndarray, charge: np.ndarray, magni
     moments = [*position.sum(axis=0), *np.einsum("kd,kd->d", position, position)]
     count, weights, squares, *moments = comm.allreduce(np.array([*sums, *moments])).tolist()
     mean, square = np.array(moments).reshape(2, 3) / max(count, 1)
-    return Sizes(int(count), weights**2 / squares if squares > 0 else 0.0, np.sqrt(np.maximum(square - mean**2, 0.0)))
+    rms = np.sqrt(np.maximum(square - mean**2, 0.0))
+    for axis in np.flatnonzero(rms > 0):
+        size = _shortest_stretch(comm, position[:, axis], mean[axis], rms[axis], int(count)) / CROWD_SIZE
+        if 0 < size < rms[axis] / STRAY:
+            rms[axis] = size
+    return Sizes(int(count), weights**2 / squares if squares > 0 else 0.0, rms)
+
+
+def _shortest_stretch(comm: Communicator, places: np.ndarray, mean: float, rms: float, count: int) -> float:
+    """Return the length in m of the shortest stretch of an axis that holds CROWD of the particles; 0 if they lie at one place.
+
+    Found by counts in bins, so it is the same for any order of particles on any ranks. Collective.
+    """
+    needed = max(math.ceil(CROWD * count), 2)
+    lower, width = mean - 4 * rms, 8 * rms / BINS  # no more than a sixteenth of all lie outside
+    while width > NO_SIZE * rms:
+        number = np.floor((places - lower) / width)
+        inside = number[(number >= 0) & (number < BINS)].astype(np.int64)
+        below = np.concatenate([[0], np.cumsum(comm.allreduce(np.bincount(inside, minlength=BINS)))])
+        end = np.searchsorted(below, below + needed)  # of the shortest run of bins from each on
+        lengths = np.where(end <= BINS, end - np.arange(BINS + 1), BINS)
+        first, length = int(np.argmin(lengths)), int(lengths.min())
+        if length >= LEAST_BINS:
+            return length * width
+        lower += (first - 1) * width
+        width *= (length + 2) / BINS
+    return 0.0
 
 
 def _together(comm: Communicator, position: np.ndarray, domain: Domain) -> np.ndarray:
@@ -155,6 +188,21 @@ class Placing:
             self.centre = self._centre(extent)
         self.gamma = gamma
         return self.domain is not before
+
+    def suited(self, rms: np.ndarray) -> Domain:
+        """Return the domain, wider along axes on which far more cells lie in a bunch of rms sizes (3,) in m than on others.
+
+        A particle far out along one axis makes cells long along it, and no levels would help the bunch. Local.
+        """
+        assert self.domain is not None
+        per_cell = np.where(rms > 0, rms, np.nan) / self.domain.spacing
+        wider = np.maximum(np.nan_to_num(per_cell / np.nanmin(per_cell, initial=np.inf) / LONGEST), 1)
+        if self.free and (wider > 1).any():
+            lower, upper = np.array(self.domain.lower), np.array(self.domain.upper)
+            room = (wider - 1) * (upper - lower) / 2
+            self._room = self._room * wider
+            self.domain = Domain(tuple(lower - room), tuple(upper + room), self.domain.cells)
+        return self.domain
 
     def _scale(self, gamma: float) -> np.ndarray:
         return np.array([1.0, 1.0, gamma])

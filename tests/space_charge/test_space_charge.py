@@ -279,6 +279,18 @@ def test_a_bunch_that_is_far_smaller_than_the_last_one_has_its_own_field_at_once
     assert charges.field(*places.T, CHARGE) == pytest.approx(expected, abs=1e-6 * np.abs(expected).max())
 
 
+@pytest.mark.parametrize("others", [[[0.3, 0, 0]], [[0, 0, -10.0]], [[1e3, 1e3, 0]], "a bunch"])
+def test_what_is_far_out_leaves_the_field_of_a_bunch_as_it_is(others):
+    """A stray particle, or a second bunch 1 m away."""
+    sizes, number = np.full(3, 1e-3), 2**13
+    bunch = quiet_gaussian(number, sizes)
+    places = np.concatenate([bunch, bunch + np.eye(3)[0] if others == "a bunch" else np.array(others)])
+    x, y, z = places.T
+    field = amrpic.SpaceCharge().field(x, y, z, 1e-9 / number)[:number]
+    exact = gaussian_field(bunch, sizes, 1e-9)
+    assert ((field - exact) ** 2).sum(axis=1).mean() < 0.07**2 * (exact**2).sum(axis=1).max()
+
+
 def test_a_slow_ramp_of_gamma_costs_no_new_mesh():
     charges, places = engine(regrid_every=0), bunch()
     charges.field(*places.T, CHARGE, gamma=2.0)

@@ -39,6 +39,25 @@ def sentence(electrodes: Sequence[Conductor], contact: Contact) -> str:
     )
 
 
+def sentence_at_wall(two: Sequence[Conductor], contact: Contact) -> str:
+    """Return what is said of an electrode and a face of the domain that touch."""
+    x, y, z = contact.place
+    return (
+        f"electrode {two[0].name} meets {two[1].name} at ({x:.6g}, {y:.6g}, {z:.6g}) m, which has another potential: the "
+        "charge there grows without end as cells become finer; give both the same, or end the electrode a cell before the face"
+    )
+
+
+def sentence_of_gap(two: Sequence[Conductor], gap: Gap) -> str:
+    """Return what is said of a gap between two electrodes, or one and a face of the domain, without a centre of a cell."""
+    width, (x, y, z) = gap
+    first, second = (metal.name for metal in two)
+    return (
+        f"{first} and {second} are {width:.3g} m apart at ({x:.6g}, {y:.6g}, {z:.6g}) m, with no centre of a cell "
+        "between them there, so that the charge on both sides of the gap is missed; refine there"
+    )
+
+
 def apart(electrodes: Sequence[Conductor]) -> Iterator[tuple[int, int]]:
     """Yield the numbers of each two electrodes that may not touch."""
     for first, second in combinations(range(len(electrodes)), 2):

@@ -15,7 +15,7 @@ from ..parallel import together
 from ..shapes.spans import Floats
 from .arms import TOUCH, GrownBoxes, Lattice, arms_of_boxes, indices, trace
 from .conductor import Conductor
-from .contacts import Contact, LineSpans, apart, contacts, narrowest, sentence
+from .contacts import Contact, LineSpans, apart, contacts, narrowest, sentence, sentence_at_wall, sentence_of_gap
 
 # Lines by which two electrodes are compared without a mesh: so many at least along each side of where both can be, halving the
 # spacing at most so often, and about so many at most along each axis.
@@ -89,29 +89,37 @@ def _digest(answer: Answer) -> bytes:
     return digest.digest()
 
 
-def refuse_contacts(electrodes: Sequence[Conductor], origin: Sequence[float], spacing: Sequence[float]) -> list[str]:
+def refuse_contacts(
+    electrodes: Sequence[Conductor],
+    origin: Sequence[float],
+    spacing: Sequence[float],
+    walls: Sequence[Conductor] = (),
+) -> list[str]:
     """Raise InputError if electrodes of different voltages touch or overlap; the same on all ranks.
 
     What solvers look for on the lines of their meshes is looked for here wherever two electrodes can be, on those of cells of
     this `spacing`, m, or of finer ones where few would pass there. Returns a sentence on each two with a gap along an axis in
-    which no such cell has its centre: solvers miss the charge on its sides.
+    which no such cell has its centre, and on each electrode that meets one of the `walls`, metal behind faces of the domain, at
+    another potential.
     """
-    cells, out = Lattice.of(origin, spacing), []
-    for pair in apart(electrodes):
-        two = [electrodes[number] for number in pair]
+    cells, out, metal = Lattice.of(origin, spacing), [], [*electrodes, *walls]
+    for first, second in apart(metal):
+        two, is_wall = [metal[first], metal[second]], second >= len(electrodes)
+        if first >= len(electrodes):
+            continue
         lattice, lines = _lines_of_both(two, cells)
         if not lines:
             continue
-        for contact in contacts(two, lines, TOUCH * lattice.spacing):
+        contact = next(contacts(two, lines, TOUCH * lattice.spacing), None)
+        if contact is not None and not is_wall:
             raise InputError(sentence(two, contact))
+        if contact is not None:
+            out.append(sentence_at_wall(two, contact))
+            continue
         of_axes = (narrowest(one, other, partial(cells.index, one.axis)) for one, other in zip(*lines, strict=True))
         gaps = [gap for gap in of_axes if gap is not None]
         if gaps:
-            width, (x, y, z) = min(gaps)
-            out.append(
-                f"electrodes {two[0].name} and {two[1].name} are {width:.3g} m apart at ({x:.6g}, {y:.6g}, {z:.6g}) m, with no "
-                "centre of a cell between them there, so that the charge on both sides of the gap is missed; refine there"
-            )
+            out.append(sentence_of_gap(two, min(gaps)))
     return out
 
 

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from .. import _native
 from ..conductors.metal import refuse_contacts
 from ..errors import InputError
+from ..mesh.domain import AXES
 from ..mpi import MPI
 from ..parallel import from_rank_0
 from ..scene.electrodes import Electrode
 from ..scene.obstacles import Aperture, SolidAperture, aperture_names
 from ..scene.scene import Scene
+from ..shapes import Box
 from ..stages.encounters import native_aperture
 from .records import Record
 
@@ -32,7 +35,32 @@ def make_electrodes(scene: Scene) -> tuple[Electrode, ...]:
 def _compared(scene: Scene) -> tuple[tuple[Electrode, ...], list[str]]:
     electrodes = tuple(conductor.value for conductor in scene.conductors)
     domain = scene.domain.value
-    return electrodes, refuse_contacts(electrodes, domain.lower, domain.spacing / 2**scene.refinement.levels)
+    spacing = domain.spacing / 2**scene.refinement.levels
+    return electrodes, refuse_contacts(electrodes, domain.lower, spacing, walls_of(scene))
+
+
+class Wall(NamedTuple):
+    """Metal behind a Dirichlet face of the domain, as wide as the face and as thick as the domain."""
+
+    name: str
+    shape: Box
+    voltage: float
+
+
+def walls_of(scene: Scene) -> list[Wall]:
+    """Return the Dirichlet faces of a domain that have one potential (V) each, whatever its place."""
+    domain, out = scene.domain.value, []
+    for axis, kinds in enumerate(domain.boundary):
+        for end, (kind, given) in enumerate(
+            zip(kinds, scene.domain.potential.get(AXES[axis], (0.0, 0.0)), strict=True)
+        ):
+            if kind != "dirichlet" or isinstance(given, str):
+                continue
+            lower, upper = np.array(domain.lower), np.array(domain.upper)
+            shift = np.eye(3)[axis] * (upper - lower) * (2 * end - 1)
+            behind = Box(tuple(lower + shift), tuple(upper + shift))
+            out.append(Wall(f"the face {AXES[axis]}_{('lower', 'upper')[end]}", behind, given))
+    return out
 
 
 def obstacles_of(comm: MPI.Comm, scene: Scene, electrodes: Sequence[Electrode]) -> list[_native.Aperture | Electrode]:

@@ -9,6 +9,7 @@ from amrpic.conductors.arms import SIDES, arms_of_boxes
 from amrpic.conductors.contacts import sentence
 from amrpic.conductors.metal import refuse_contacts
 from amrpic.errors import InputError
+from amrpic.pic.driven_electrodes import Wall
 from arms_of_one_box import cut_arms, of_box
 
 CELLS = np.array([20, 18, 22])
@@ -215,6 +216,21 @@ def test_gaps_without_a_centre_of_a_cell_are_said():
         Electrode(name, shape, voltage=1) for name, shape in (("a", below), ("b", shapes.Box((1, 1, 4.1), (4, 4, 8))))
     ]
     assert refuse_contacts(same, (0, 0, 0), (1, 1, 1)) == []
+
+
+def test_electrodes_at_walls_of_another_potential_are_said():
+    """The face z = 0 is at 0 V."""
+    face = Wall("the face z_lower", shapes.Box((0, 0, -9), (9, 9, 0)), 0.0)
+    for lower, voltage, said in (
+        (-1, 5, "meets the face z_lower at"),
+        (0.4, 5, "and the face z_lower are 0.4 m"),
+        (0.6, 5, ""),
+    ):
+        peg = Electrode("peg", shapes.Box((2, 2, lower), (4, 4, 4)), voltage=voltage)
+        sentences = refuse_contacts([peg], (0, 0, 0), (1, 1, 1), [face])
+        assert len(sentences) == bool(said) and all(said in sentence for sentence in sentences)
+    grounded = Electrode("peg", shapes.Box((2, 2, -1), (4, 4, 4)), voltage=0)
+    assert refuse_contacts([grounded], (0, 0, 0), (1, 1, 1), [face]) == []
 
 
 def test_half_spaces_and_far_electrodes_are_compared():

@@ -116,6 +116,8 @@ def _pydantic(error: ErrorDetails, path: str, value: Any) -> tuple[str, str, Any
     if kind == "literal_error":
         choices = [choice.strip("' ") for choice in str(context["expected"]).replace(" or ", ",").split(",")]
         return "is not one of the choices", close_match(str(value), choices), value
+    if kind in ("tuple_type", "list_type"):
+        return "is no list", f"write {key} = […, …]", value
     message = error["msg"][0].lower() + error["msg"][1:]
     for opening in ("input should be ", "value should be "):
         if message.startswith(opening):

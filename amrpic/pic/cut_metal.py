@@ -13,21 +13,16 @@ from ..scene.scene import Scene
 from ..shapes import Mesh, Shape
 from ..shapes.shape import Combination, Placed
 from ..units import quantity
-from .driven_electrodes import make_electrodes
+from .driven_electrodes import compared_electrodes
 
 
 def describe_scene(scene: Scene) -> list[str]:
-    """Return a line for each electrode of a scene, on its base level. Serial; raises InputError."""
+    """Return a line for each electrode of a scene, on its base level, and remarks on them. Serial; raises InputError."""
     if not scene.conductors:
         return []
-    domain = scene.domain.value
-    arms, _ = arms_of_boxes(
-        electrodes := make_electrodes(scene),
-        [[0, 0, 0, *(n - 1 for n in domain.cells)]],
-        domain.lower,
-        domain.spacing,
-    )
-    return _lines(electrodes, [arms], "of the base level")
+    domain, (electrodes, remarks) = scene.domain.value, compared_electrodes(scene)
+    arms, _ = arms_of_boxes(electrodes, [[0, 0, 0, *(n - 1 for n in domain.cells)]], domain.lower, domain.spacing)
+    return [*_lines(electrodes, [arms], "of the base level"), *(f"note: {remark}" for remark in remarks)]
 
 
 def describe(electrodes: Sequence[Electrode], hierarchy: Hierarchy) -> list[str]:

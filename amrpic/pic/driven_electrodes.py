@@ -21,18 +21,21 @@ from ..shapes import Box
 from ..stages.encounters import native_aperture
 from .records import Record
 
+THICKNESS = 1e-3  # of what stands for a face of the domain, over the domain's extent
+
 
 def electrodes_of(comm: MPI.Comm, scene: Scene) -> tuple[tuple[Electrode, ...], list[str]]:
     """Return the electrodes of a scene, of which rank 0 reads files, and remarks on them. Collective; InputError on all."""
-    return from_rank_0(comm, partial(_compared, scene), InputError) if scene.conductors else ((), [])
+    return from_rank_0(comm, partial(compared_electrodes, scene), InputError) if scene.conductors else ((), [])
 
 
 def make_electrodes(scene: Scene) -> tuple[Electrode, ...]:
     """Return the electrodes of a scene. Raises InputError for a file that is no shape, and for those that touch."""
-    return _compared(scene)[0]
+    return compared_electrodes(scene)[0]
 
 
-def _compared(scene: Scene) -> tuple[tuple[Electrode, ...], list[str]]:
+def compared_electrodes(scene: Scene) -> tuple[tuple[Electrode, ...], list[str]]:
+    """Return the electrodes of a scene, and remarks. Serial; InputError for those that touch and for bad files."""
     electrodes = tuple(conductor.value for conductor in scene.conductors)
     domain = scene.domain.value
     spacing = domain.spacing / 2**scene.refinement.levels
@@ -40,7 +43,7 @@ def _compared(scene: Scene) -> tuple[tuple[Electrode, ...], list[str]]:
 
 
 class Wall(NamedTuple):
-    """Metal behind a Dirichlet face of the domain, as wide as the face and as thick as the domain."""
+    """A sheet of metal behind a Dirichlet face of the domain."""
 
     name: str
     shape: Box
@@ -56,10 +59,12 @@ def walls_of(scene: Scene) -> list[Wall]:
         ):
             if kind != "dirichlet" or isinstance(given, str):
                 continue
-            lower, upper = np.array(domain.lower), np.array(domain.upper)
-            shift = np.eye(3)[axis] * (upper - lower) * (2 * end - 1)
-            behind = Box(tuple(lower + shift), tuple(upper + shift))
-            out.append(Wall(f"the face {AXES[axis]}_{('lower', 'upper')[end]}", behind, given))
+            corners = np.array([domain.lower, domain.upper])
+            beyond = THICKNESS * (corners[1, axis] - corners[0, axis]) * np.array([end - 1, end])
+            corners[:, axis] = corners[end, axis] + beyond
+            out.append(
+                Wall(f"the face {AXES[axis]}_{('lower', 'upper')[end]}", Box(*map(tuple, corners.tolist())), given)
+            )
     return out
 
 

@@ -9,4 +9,5 @@
 #include <Kokkos_Macros.hpp>
 #else
 #define KOKKOS_INLINE_FUNCTION inline
+#define KOKKOS_FORCEINLINE_FUNCTION inline __attribute__((always_inline))
 #endif

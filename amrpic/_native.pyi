@@ -488,6 +488,7 @@ class PoissonSolver:
     ) -> None: ...
     def set_potentials(self, potentials: Sequence[float]) -> None: ...
     def charges(self, phi: Field, rho: Field) -> list[float]: ...
+    def sights(self) -> list[float]: ...
     def solve(
         self, rho: Field, phi: Field, from_zero: bool, known: MeshError, deposited: float, images: bool = False
     ) -> SolveReport: ...
@@ -714,6 +715,24 @@ class Triangles:
         """
         Line, parameter, change of depth and triangle of each crossing, line by line, and the lines that pass edges within rounding; arguments are rows of x, y, z.
         """
+
+def mark_in_metal(
+    first: NDArray[numpy.int64],
+    count: NDArray[numpy.int64],
+    stride: NDArray[numpy.int64],
+    electrode: int,
+    axis: int,
+    owner: NDArray[numpy.int32],
+    axes: NDArray[numpy.uint8],
+) -> None:
+    """
+    Give stretches of cells along an axis to an electrode, and add its bit to theirs.
+    """
+
+def runs_in_metal(boxes: NDArray[numpy.int32], owner: NDArray[numpy.int32]) -> tuple:
+    """
+    First cells, numbers and electrodes of the runs along x in boxes, by the owners of the cells of each and of a layer around it.
+    """
 
 def gmls_exponents(dimension: int, order: int) -> NDArray[numpy.int32]:
     """

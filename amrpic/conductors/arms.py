@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .. import _native
 from ..shapes import Shape
 from ..shapes.spans import Floats, Ints
 from .conductor import Conductor
@@ -84,6 +85,14 @@ def arms_of_boxes(
     The centre of a cell lies at `origin` + (index + 1/2) · `spacing`, m.
     An electrode comes before later ones where they overlap. Contacts are those on lines through cells of these boxes.
     """
+    cells, owner, crossings, touching = traced_boxes(electrodes, boxes, origin, spacing)
+    return assembled(cells, owner, crossings), touching
+
+
+def traced_boxes(
+    electrodes: Sequence[Conductor], boxes: ArrayLike, origin: ArrayLike, spacing: ArrayLike
+) -> tuple[GrownBoxes, NDArray[np.int32], list[Crossings], list[Contact]]:
+    """Return grown boxes, the electrode that owns each of their cells or -1, the arms that metal cuts, and contacts."""
     lattice = Lattice.of(origin, spacing)
     cells = GrownBoxes.around(np.reshape(np.asarray(boxes, np.int64), (-1, 6)))
     owner, axes = np.full(cells.total, -1, np.int32), np.zeros(cells.total, np.uint8)
@@ -95,12 +104,10 @@ def arms_of_boxes(
         for axis in range(3):
             traced = trace(electrodes[number].shape, cells, lattice, axis)
             lines[number].append(traced.lines)
-            solid = traced.solid_cells(cells, lattice)
-            owner[solid] = number
-            axes[solid] |= 1 << axis
+            _native.mark_in_metal(*traced.solid_cells(cells, lattice), number, axis, owner, axes)
             crossings += traced.crossings(cells, lattice, number)
     crossings.append(unseen(cells, owner, axes))
-    return assembled(cells, owner, crossings), list(contacts(electrodes, lines, TOUCH * lattice.spacing))
+    return cells, owner, crossings, list(contacts(electrodes, lines, TOUCH * lattice.spacing))
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,15 +196,13 @@ class Traced:
         last = np.floor(lattice.index(self.lines.axis, self.lines.spans.leave) + TOUCH).astype(np.int64)
         return first[self.span], last[self.span]
 
-    def solid_cells(self, cells: GrownBoxes, lattice: Lattice) -> Ints:
-        """Return the numbers of cells in metal."""
+    def solid_cells(self, cells: GrownBoxes, lattice: Lattice) -> tuple[Ints, Ints, Ints]:
+        """Return the first cells of the pieces in metal, by numbers, how many each has, and how far apart they are."""
         first, last = self.ends(lattice)
         first = np.maximum(first, cells.lower[self.box, self.lines.axis])
         count = np.maximum(np.minimum(last, cells.upper[self.box, self.lines.axis]) - first + 1, 0)
         stride = cells.stride[self.box, self.lines.axis]
-        step = ramp(count)
-        step *= np.repeat(stride, count)
-        return np.repeat(self.cell + first * stride, count) + step
+        return self.cell + first * stride, count, stride
 
     def crossings(self, cells: GrownBoxes, lattice: Lattice, electrode: int) -> Iterator[Crossings]:
         """Yield the arms that the spans cut, upwards and downwards."""
@@ -244,10 +249,10 @@ def trace(shape: Shape, cells: GrownBoxes, lattice: Lattice, axis: int) -> Trace
     box = np.repeat(np.arange(len(count)), count)
     across, up = np.divmod(ramp(count), np.maximum(size[box, u], 1))
     at_u, at_v = lower[box, u] + up, lower[box, v] + across
-    key, line = np.unique(at_u * (2 * FAR) + at_v, return_inverse=True)
+    (ku, kv), line = lines_through(at_u, at_v)
+    key = ku * (2 * FAR) + kv
     place = np.zeros((len(key), 3))
-    ku, kv = np.divmod(key + FAR, 2 * FAR)
-    place[:, u], place[:, v] = lattice.centre(u, ku), lattice.centre(v, kv - FAR)
+    place[:, u], place[:, v] = lattice.centre(u, ku), lattice.centre(v, kv)
     spans = shape.spans(place, axis)
     begin = np.searchsorted(spans.line, np.arange(len(key) + 1))
     count = (begin[1:] - begin[:-1])[line]
@@ -260,35 +265,75 @@ def trace(shape: Shape, cells: GrownBoxes, lattice: Lattice, axis: int) -> Trace
     return Traced(LineSpans(axis, key, place, spans), span, *(np.repeat(part, count) for part in (box, base, inner)))
 
 
+def lines_through(u: Ints, v: Ints) -> tuple[tuple[Ints, Ints], Ints]:
+    """Return the different pairs of indices (n,), sorted, and which of them each one is."""
+    if len(u) == 0:
+        return (u, v), u
+    least, width = v.min(), v.max() - v.min() + 1
+    number = (u - u.min()) * width + (v - least)
+    if number.max() < 8 * len(number):  # by a table of all pairs, which costs less than sorting
+        known = np.zeros(number.max() + 1, bool)
+        known[number] = True
+        pairs, line = np.flatnonzero(known), (np.cumsum(known) - 1)[number]
+    else:
+        pairs, line = np.unique(number, return_inverse=True)
+    return (pairs // width + u.min(), pairs % width + least), line
+
+
 def assembled(cells: GrownBoxes, owner: NDArray[np.int32], crossings: Sequence[Crossings]) -> CutArms:
     """Return solid and cut cells of boxes, from the electrode that owns each cell of the grown ones and from crossings."""
-    empty = Crossings(np.empty(0, np.int64), np.empty(0), np.empty(0, np.int32), np.empty(0, np.int64))
-    columns = [np.concatenate(column) for column in zip(empty, *crossings, strict=True)]
-    fluid = owner[columns[0] // 6] < 0
-    arm, theta, electrode, surface = (column[fluid] for column in columns)
-    order = np.lexsort((-surface, electrode, theta, arm))
-    arm, nearest = np.unique(arm[order], return_index=True)
-    nearest = order[nearest]
-    cell, row = np.unique(arm // 6, return_inverse=True)
-    box, number, inner = cells.decoded(cell)
-    assert inner.all()
-    thetas = np.full((len(cell), 6), np.inf)
-    electrodes, surfaces = np.full((2, len(cell), 6), -1, np.int32)
-    for array, values in ((thetas, theta), (electrodes, electrode), (surfaces, surface)):
-        array[row, arm % 6] = values[nearest]
-    boxes = range(len(cells.lower))
-    owners = [cells.inner(b, owner) for b in boxes]
+    cut = cut_cells(cells, owner, crossings)
+    owners = [cells.inner(b, owner) for b in range(len(cells.lower))]
     solids = [np.flatnonzero(values >= 0) for values in owners]
     return CutArms(
         np.concatenate([np.empty(0, np.int64), *solids]),
         np.concatenate([np.empty(0, np.int32), *(values[solid] for values, solid in zip(owners, solids, strict=True))]),
-        number,
-        thetas,
-        electrodes,
-        surfaces,
+        cut.cell,
+        cut.theta,
+        cut.electrode,
+        cut.surface,
         np.concatenate([[0], np.cumsum([len(solid) for solid in solids], dtype=np.int64)]),
-        np.searchsorted(box, np.arange(len(cells.lower) + 1)),
+        cut.first,
     )
+
+
+class CutCells(NamedTuple):
+    """What `CutArms` has of cut cells."""
+
+    cell: Ints
+    theta: Floats
+    electrode: NDArray[np.int32]
+    surface: NDArray[np.int32]
+    first: Ints
+
+
+def cut_cells(cells: GrownBoxes, owner: NDArray[np.int32], crossings: Sequence[Crossings]) -> CutCells:
+    """Return the cells outside metal that have crossings; of several on an arm, the nearest one counts."""
+    empty = Crossings(np.empty(0, np.int64), np.empty(0), np.empty(0, np.int32), np.empty(0, np.int64))
+    columns = [np.concatenate(column) for column in zip(empty, *crossings, strict=True)]
+    fluid = owner[columns[0] // 6] < 0
+    arm, theta, electrode, surface = (column[fluid] for column in columns)
+    order = np.argsort(arm, kind="stable")
+    if (arm[order[1:]] == arm[order[:-1]]).any():
+        order = np.lexsort((-surface, electrode, theta, arm))
+    nearest = order[begins(arm[order])]
+    arm = arm[nearest]
+    is_first = begins(arm // 6)
+    row = np.cumsum(is_first) - 1
+    box, number, inner = cells.decoded(arm[is_first] // 6)
+    assert inner.all()
+    thetas = np.full((len(number), 6), np.inf)
+    electrodes, surfaces = np.full((2, len(number), 6), -1, np.int32)
+    for array, values in ((thetas, theta), (electrodes, electrode), (surfaces, surface)):
+        array[row, arm % 6] = values[nearest]
+    return CutCells(number, thetas, electrodes, surfaces, np.searchsorted(box, np.arange(len(cells.lower) + 1)))
+
+
+def begins(values: Ints) -> NDArray[np.bool_]:
+    """Return which of sorted values are the first of those equal to them."""
+    out = np.ones(len(values), bool)
+    out[1:] = values[1:] != values[:-1]
+    return out
 
 
 def unseen(cells: GrownBoxes, owner: NDArray[np.int32], axes: NDArray[np.uint8]) -> Crossings:
@@ -297,7 +342,7 @@ def unseen(cells: GrownBoxes, owner: NDArray[np.int32], axes: NDArray[np.uint8])
     `axes` has a bit for each axis along which a line found the cell in metal. Where the line along an arm did, it
     also found where it enters.
     """
-    metal = np.flatnonzero((axes > 0) & (axes < 7))
+    metal = np.flatnonzero(axes - np.uint8(1) < 6)  # zero wraps round
     metal, side = np.repeat(metal, 6), np.tile(np.arange(6), len(metal))
     hidden = (axes[metal] >> side // 2) & 1 == 0
     metal, side = metal[hidden], side[hidden]

@@ -13,14 +13,14 @@ from ..errors import InputError, SolverError
 from ..mpi import MPI
 from ..parallel import together
 from ..shapes.spans import Floats
-from .arms import TOUCH, GrownBoxes, Lattice, arms_of_boxes, indices, trace
+from .arms import TOUCH, GrownBoxes, Lattice, arms_of_boxes, cut_cells, indices, trace, traced_boxes
 from .conductor import Conductor
 from .contacts import Contact, LineSpans, apart, contacts, narrowest, sentence, sentence_at_wall, sentence_of_gap
 
 # Lines by which two electrodes are compared without a mesh: so many at least along each side of where both can be, halving the
 # spacing at most so often, and about so many at most along each axis.
 FEWEST_LINES, MOST_HALVINGS, MOST_LINES = 64, 12, 2**17
-Answer = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+Answer = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 class MetalOnMesh:
@@ -62,7 +62,7 @@ class MetalOnMesh:
         return True
 
     def _ask(self, boxes: Sequence[Sequence[int]], spacing: Sequence[float]) -> Answer:
-        """Return solid cells and their electrodes, cut cells, their arms and the electrodes that cut these."""
+        """Return first cells, lengths and electrodes of runs in metal, cut cells, their arms and what cuts these."""
         answer, contacts = self._found(self._electrodes, boxes, spacing)
         self._contacts += contacts
         self._answers.append((boxes, spacing, _digest(answer)))
@@ -71,20 +71,22 @@ class MetalOnMesh:
     def _found(
         self, electrodes: Sequence[Conductor], boxes: Sequence[Sequence[int]], spacing: Sequence[float]
     ) -> tuple[Answer, list[Contact]]:
-        arms, contacts = arms_of_boxes(electrodes, boxes, self._lower, np.divide(spacing, self._stretch))
+        cells, owner, crossings, contacts = traced_boxes(
+            electrodes, boxes, self._lower, np.divide(spacing, self._stretch)
+        )
+        cut = cut_cells(cells, owner, crossings)
         return (
-            indices(boxes, arms.solid, arms.first_solid),
-            np.asarray(arms.solid_electrode, np.int32),
-            indices(boxes, arms.cell, arms.first_cut),
-            np.ascontiguousarray(arms.theta, float),
-            np.ascontiguousarray(arms.electrode, np.int32),
+            *_native.runs_in_metal(np.asarray(boxes, np.int32), owner),
+            indices(boxes, cut.cell, cut.first),
+            cut.theta,
+            cut.electrode,
         ), contacts
 
 
 def _digest(answer: Answer) -> bytes:
     digest = hashlib.blake2b(digest_size=16)
     for part in answer:
-        digest.update(np.ascontiguousarray(part).tobytes())
+        digest.update(np.ascontiguousarray(part).data)
         digest.update(b"%d" % len(part))
     return digest.digest()
 
@@ -149,16 +151,18 @@ def _lattice_through(extent: Floats, lattice: Lattice) -> Lattice:
 
 
 def image_refusal(
-    electrodes: Sequence[Conductor], lattice: Lattice, cells: Sequence[int], periodic: Sequence[bool]
+    electrodes: Sequence[Conductor], lattice: Lattice, boxes: np.ndarray, cells: Sequence[int], periodic: Sequence[bool]
 ) -> str | None:
-    """Return why electrodes at periodic faces are refused, and what to do: metal has to go on alike through them."""
+    """Return why electrodes at periodic faces are refused, and what to do: metal has to go on alike through them.
+
+    `boxes` (n, 6) are those of a level, `cells` the number that it would have along each axis of the domain.
+    """
     for axis in (axis for axis in range(3) if periodic[axis]):
+        at_faces = boxes[(boxes[:, axis] == 0) | (boxes[:, axis + 3] == cells[axis] - 1)].astype(np.int64)
         layers = []  # of cells inside and outside, at both faces
         for index in (-1, 0, cells[axis] - 1, cells[axis]):
-            first, last = np.zeros(3, int), np.array(cells) - 1
-            first[axis] = last[axis] = index
-            arms, _ = arms_of_boxes(electrodes, [[*first, *last]], lattice.origin, lattice.spacing)
-            layers.append(arms)
+            at_faces[:, [axis, axis + 3]] = index
+            layers.append(arms_of_boxes(electrodes, at_faces, lattice.origin, lattice.spacing)[0])
         for inside, outside in ((layers[1], layers[3]), (layers[2], layers[0])):
             same = np.array_equal(inside.solid, outside.solid) and np.array_equal(inside.cell, outside.cell)
             if not same or not np.allclose(inside.theta, outside.theta, atol=1e-6):

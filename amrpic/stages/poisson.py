@@ -70,6 +70,11 @@ class SolveReport:
         return html.table(("cycle", "residual"), [[n, f"{r:.2e}"] for n, r in enumerate(self.residuals)], caption)
 
 
+# Weight of the voltage of an electrode in the equation of a cell, over the diagonal, from which on the cell sees it: it is that
+# small or less where the other end of the arm's axis lies on metal that is nowhere near, between levels.
+LEAST_SIGHT = 1e-6
+
+
 class PoissonSolver:
     """Solves Δφ = −ρ/ε₀ over all levels of a hierarchy at once. Collective; set up once, solved many times.
 
@@ -137,7 +142,7 @@ class PoissonSolver:
         self._units: list[
             tuple[weakref.ref[Field], int]
         ] = []  # such potentials that were handed out, and whose they are
-        self._potentials: list[float] = []  # of electrodes, V, as the native solver has them
+        self._potentials = [0.0] * len(self.electrodes)  # of these, V, as the native solver has them
         self._capacitance: np.ndarray | None = None
         of_bottom = chosen.bottom, chosen.bottom_preconditioner, chosen.stretch, chosen.screening
         across = None if mirror is None else mirror.axis
@@ -174,18 +179,13 @@ class PoissonSolver:
 
     def _require_arms_at_electrodes(self) -> None:
         """Refuse electrodes that no cell sees. Collective."""
-        self._set_potentials([1.0] * len(self.electrodes))
-        # with φ = 0 and ρ < 0 each arm that is cut and each cell in metal adds to the charge
-        charges = self.native.charges(Field(self.hierarchy).native, Field(self.hierarchy).fill(-1.0).native)
-        for electrode, charge in zip(self.electrodes, charges, strict=True):
-            if charge == 0:
+        for electrode, sight in zip(self.electrodes, self.native.sights(), strict=True):
+            if sight < 0:
                 raise SolverError(
                     f"electrode {electrode.name} meets no line between the centres of neighbouring cells, so that the solver "
                     "does not see it; refine the mesh there, move it into the domain, or leave it out"
                 )
-        nothing = Field(self.hierarchy).native
-        for electrode, charge in zip(self.electrodes, self.native.charges(nothing, nothing), strict=True):
-            if electrode.floats and charge == 0:
+            if electrode.floats and sight < LEAST_SIGHT:
                 raise SolverError(
                     f"electrode {electrode.name} floats where no cell outside metal lies beside it, so that nothing fixes its "
                     "voltage; give it one, refine the mesh there, or leave it out"
@@ -493,7 +493,12 @@ def _electrodes_refusal(
     free = all(face in ("periodic", "neumann") for faces in domain.boundary for face in faces)
     if free and all(electrode.floats for electrode in electrodes):
         return "all electrodes float between periodic and Neumann faces, so nothing fixes φ; give one of them a voltage"
-    return image_refusal(electrodes, Lattice.of(domain.lower, domain.spacing), domain.cells, domain.periodic)
+    for level in range(hierarchy.levels):  # what is thin, fine cells may see alone
+        cells = [count << level for count in domain.cells]
+        lattice = Lattice.of(domain.lower, hierarchy.spacing(level))
+        if refusal := image_refusal(electrodes, lattice, hierarchy.boxes(level), cells, domain.periodic):
+            return refusal
+    return None
 
 
 def _mirror_refusal(mirror: Mirror, hierarchy: Hierarchy, options: SolverOptions) -> str | None:

@@ -126,20 +126,23 @@ void bind_solver(nb::module_& m) {
       .def(
           "__init__",
           [](Metal* self, int electrodes, nb::callable ask) {
-            // ask(boxes, spacing): solid cells and their electrodes, cut cells, their arms and electrodes
+            // ask(boxes, spacing): the first of each run of solid cells, how many these are, and their electrode; cut
+            // cells, their arms and electrodes
             new (self) Metal(electrodes, [ask](std::vector<Box> const& boxes, Real3 const& spacing) {
               nb::gil_scoped_acquire held;
               std::vector<std::array<int, 6>> corners;
               for (auto const& [lower, upper] : boxes)
                 corners.push_back({lower[0], lower[1], lower[2], upper[0], upper[1], upper[2]});
-              auto const [solid, owner, cut, arm, electrode] =
-                  nb::cast<std::tuple<Cells, Owners, Cells, Arms, Surfaces>>(
+              auto const [solid, count, owner, cut, arm, electrode] =
+                  nb::cast<std::tuple<Cells, Owners, Owners, Cells, Arms, Surfaces>>(
                       ask(corners, std::array<Real, 3>{spacing[0], spacing[1], spacing[2]}));
               auto const cell = [](Cells const& of, std::size_t n) {
                 return Index3{int(of(n, 0)), int(of(n, 1)), int(of(n, 2))};
               };
-              std::pair<std::vector<CutCell>, std::vector<SolidCell>> out;
-              for (std::size_t n = 0; n < solid.shape(0); ++n) out.second.push_back({cell(solid, n), owner(n)});
+              std::pair<std::vector<CutCell>, std::vector<SolidCells>> out;
+              out.first.reserve(cut.shape(0)), out.second.reserve(solid.shape(0));
+              for (std::size_t n = 0; n < solid.shape(0); ++n)
+                out.second.push_back({cell(solid, n), count(n), owner(n)});
               for (std::size_t n = 0; n < cut.shape(0); ++n) {
                 CutCell& to = out.first.emplace_back();
                 to.cell = cell(cut, n);
@@ -161,6 +164,7 @@ void bind_solver(nb::module_& m) {
           "hierarchy"_a, "options"_a, "reusable"_a, "metal"_a.none() = nullptr)
       .def("set_potentials", &PoissonSolver::set_potentials, "potentials"_a)
       .def("charges", &PoissonSolver::charges, "phi"_a, "rho"_a, nb::call_guard<nb::gil_scoped_release>())
+      .def("sights", &PoissonSolver::sights, nb::call_guard<nb::gil_scoped_release>())
       .def("solve", &PoissonSolver::solve, "rho"_a, "phi"_a, "from_zero"_a, "known"_a, "deposited"_a,
            "images"_a = false, nb::call_guard<nb::gil_scoped_release>())
       .def("electric_field", &PoissonSolver::electric_field, "potential"_a, "covered"_a,

@@ -97,10 +97,30 @@ class CompositeLaplacian {
         mesh_.for_each_in_metal(
             l, b, k, [](CompositeMesh::CutHere const&) {},
             [&](std::ptrdiff_t at, int electrode) {
-              Index3 const cell{own.lower[0] + int(at % own.extent(0)), own.lower[1] + int(at / own.extent(0)),
-                                own.lower[2] + k};
-              if (!mesh_.is_covered(l, b, cell)) f(electrode, mesh_.volume(l) * plane[at]);
+              if (!mesh_.is_covered(l, b, own.cell_at(at + k * own.stride(2))))
+                f(electrode, mesh_.volume(l) * plane[at]);
             });
+    });
+  }
+  /// Call f(electrode, weight) for what uncovered cells on this rank see of metal: arms that end on it, with the weight
+  /// of its potential over the diagonal, and at no weight cells in it and shares of faces. Local.
+  template <class F>
+  void for_each_sight(F&& f) {
+    mesh_.for_each_box([&](int l, int b) {
+      Box const& own = mesh_.box(l, b);
+      for (int k = 0; k < own.extent(2); ++k)
+        mesh_.for_each_in_metal(
+            l, b, k,
+            [&](CompositeMesh::CutHere const& here) {
+              if (mesh_.is_covered(l, b, here.cell.cell)) return;
+              for (std::size_t n = 0; n < 6; ++n)
+                if (here.cell.is_cut(n)) f(here.cell.electrode[n], here.row.surface(n) / here.row.diagonal);
+            },
+            [&](std::ptrdiff_t at, int electrode) {
+              if (!mesh_.is_covered(l, b, own.cell_at(at + k * own.stride(2)))) f(electrode, 0);
+            });
+      for (SharedFace const& face : mesh_.shared_faces(l))
+        if (own.contains(face.cell) && !mesh_.is_covered(l, b, face.cell)) f(face.electrode, 0);
     });
   }
   /// See CompositeResidual. Collective.

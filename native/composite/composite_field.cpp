@@ -260,9 +260,9 @@ ElectricField CompositeField::beside_metal(Field const& phi, std::vector<Walls> 
       mesh_.for_each_in_metal(
           l, b, k,
           [&](CompositeMesh::CutHere const& here) {
-            auto const& [cut, row, place, inside] = here;
+            auto const& [cut, row, place, inside, electrode] = here;
             for (std::size_t d = 0; d < 3; ++d) {
-              if (row.surface[2 * d] == 0 && row.surface[2 * d + 1] == 0) continue;
+              if (row.surface(2 * d) == 0 && row.surface(2 * d + 1) == 0) continue;
               auto const line = ghosts_.line_through(l, b, cut, row, int(d), phi, walls, potentials);
               at[d][place] = -2 * mesh_.factor_of_field(l, int(d)) * line.slope();
             }

@@ -223,7 +223,7 @@ ArmValues CompositeGhosts::line_through(int l, int b, CutCell const& cut, CutRow
   std::array<Real, 2> arm{1, 1}, value;
   for (int s = 0; s < 2; ++s) {
     int const side = 2 * axis + s;
-    bool const is_surface = row.surface[std::size_t(side)] != 0, is_cut = is_surface && cut.is_cut(std::size_t(side));
+    bool const is_surface = row.surface(std::size_t(side)) != 0, is_cut = is_surface && cut.is_cut(std::size_t(side));
     if (is_surface) arm[std::size_t(s)] = is_cut ? cut.arm[std::size_t(side)] : wall_arm;
     value[std::size_t(s)] = is_cut       ? potentials[std::size_t(cut.electrode[std::size_t(side)])]
                             : is_surface ? wall_datum(l, b, cut.cell, side, walls)

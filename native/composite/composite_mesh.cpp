@@ -5,6 +5,21 @@
 
 namespace amrpic {
 
+namespace {
+
+/// The electrode of all surfaces in the equation of a cut cell; -1 if there are several, or walls among them.
+int only_electrode(CutCell const& cut, CutRow const& row) {
+  int out = -1;
+  for (std::size_t side = 0; side < 6; ++side) {
+    if (!row.has_surface(side)) continue;
+    if (!cut.is_cut(side) || (out >= 0 && out != cut.electrode[side])) return -1;
+    out = cut.electrode[side];
+  }
+  return out;
+}
+
+}  // namespace
+
 CompositeMesh::CompositeMesh(std::shared_ptr<Hierarchy const> hierarchy, Real shift, Real3 const& stretch,
                              Metal const* metal)
     : hierarchy_(std::move(hierarchy)),
@@ -108,7 +123,8 @@ void CompositeMesh::place_metal(int l) {
         Index3 const first{own.lower[0], own.lower[1] + j, own.lower[2] + k};
         auto const place = [&](Index3 const& cell) { return cell[0] - first[0] + j * own.extent(0); };
         cells.for_each_cut(first, own.extent(0), [&](CutCell const& cut) {
-          Placed out{place(cut.cell), std::int32_t(&cut - cells.cut().data()), 0};
+          Placed out{place(cut.cell), std::int32_t(&cut - cells.cut().data())};
+          out.electrode = only_electrode(cut, of.rows[std::size_t(out.number)]);
           for (int side = 0; side < 6; ++side) {
             Index3 next = cut.cell;
             next[side / 2] += side % 2 == 0 ? -1 : 1;
@@ -117,7 +133,7 @@ void CompositeMesh::place_metal(int l) {
           of.cuts.push_back(out);
         });
         cells.for_each_solid(first, own.extent(0), [&](SolidCell const& solid) {
-          of.solids.push_back({place(solid.cell), solid.electrode, 0});
+          of.solids.push_back({place(solid.cell), solid.electrode});
         });
       }
     }

@@ -76,6 +76,7 @@ class CompositeMesh {
     CutRow const& row;
     std::ptrdiff_t place;
     std::uint8_t inside;
+    int electrode;  ///< of all surfaces in its equation; -1 if there are several, or walls among them
     bool is_inside(std::size_t side) const { return inside >> side & 1; }
   };
   bool has_metal(int l, int b) const;  ///< in a box, or beside its cells
@@ -87,7 +88,8 @@ class CompositeMesh {
     Plane const &plane = of.planes[std::size_t(of.first_plane[std::size_t(b)] + k)], &next = (&plane)[1];
     for (int n = plane.first_cut; n < next.first_cut; ++n) {
       Placed const& at = of.cuts[std::size_t(n)];
-      f(CutHere{of.cells.cells.cut()[std::size_t(at.number)], of.rows[std::size_t(at.number)], at.place, at.inside});
+      f(CutHere{of.cells.cells.cut()[std::size_t(at.number)], of.rows[std::size_t(at.number)], at.place, at.inside,
+                at.electrode});
     }
     for (int n = plane.first_solid; n < next.first_solid; ++n)
       solid(std::ptrdiff_t(of.solids[std::size_t(n)].place), of.solids[std::size_t(n)].number);
@@ -196,7 +198,9 @@ class CompositeMesh {
   Metal const* conductors_;
   struct Placed {
     std::int32_t place, number;  ///< in the plane; of the cut cell, or of the electrode
-    std::uint8_t inside = 0;     ///< see CutHere
+    // see CutHere
+    std::uint8_t inside = 0;
+    std::int32_t electrode = -1;
   };
   struct Plane {
     std::int32_t first_cut, first_solid;

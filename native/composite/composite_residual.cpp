@@ -84,14 +84,20 @@ void SecondOrderResidual::residual_beside_metal(int l, int b, int k, Source cons
   mesh_.for_each_in_metal(
       l, b, k,
       [&](CompositeMesh::CutHere const& here) {
-        auto const& [cut, row, at, inside] = here;
-        Real sum = -row.diagonal * c[at];
+        CutRow const& row = here.row;
+        std::ptrdiff_t const at = here.place;
+        bool const is_one = here.electrode >= 0;
+        Real const potential = is_one ? source.potentials[std::size_t(here.electrode)] : 0;
+        Real sum = -row.diagonal * c[at], surfaces = 0;
         for (std::size_t side = 0; side < 6; ++side)
-          if (row.neighbour[side] != 0)
-            sum += row.neighbour[side] *
-                   (here.is_inside(side) ? c[at + step[side]] : ghosts_.value_beyond(l, b, cut.cell, int(side), cells));
-        plane_[std::size_t(at)] =
-            row.scale * source.background.right_hand_side(rho[at]) - sum - of_surfaces(l, b, cut, row, source);
+          if (row.has_surface(side))
+            surfaces += row.factor[side] * potential;
+          else
+            sum += row.factor[side] * (here.is_inside(side)
+                                           ? c[at + step[side]]
+                                           : ghosts_.value_beyond(l, b, here.cell.cell, int(side), cells));
+        if (!is_one) surfaces = of_surfaces(l, b, here.cell, row, source);
+        plane_[std::size_t(at)] = row.scale * source.background.right_hand_side(rho[at]) - sum - surfaces;
       },
       [&](std::ptrdiff_t at, int) { plane_[std::size_t(at)] = 0; });
 }
@@ -111,8 +117,8 @@ void SecondOrderResidual::right_hand_side_beside_metal(int l, int b, int k, Sour
 Real SecondOrderResidual::of_surfaces(int l, int b, CutCell const& cut, CutRow const& row, Source const& source) const {
   Real out = 0;
   for (std::size_t side = 0; side < 6; ++side)
-    if (row.surface[side] != 0)
-      out += row.surface[side] * (cut.is_cut(side) ? source.potentials[std::size_t(cut.electrode[side])]
+    if (row.surface(side) != 0)
+      out += row.surface(side) * (cut.is_cut(side) ? source.potentials[std::size_t(cut.electrode[side])]
                                                    : ghosts_.wall_datum(l, b, cut.cell, int(side), source.walls));
   return out;
 }
@@ -124,9 +130,9 @@ Real SecondOrderResidual::of_data(int l, int b, CutCell const& cut, CutRow const
   for (std::size_t side = 0; side < 6; ++side) {
     int const axis = int(side) / 2;
     bool const ends = cut.cell[axis] == (side % 2 == 0 ? own.lower : own.upper)[axis];
-    if (!ends || mesh_.plan(l, b).faces[side].wall < 0 || row.neighbour[side] == 0) continue;
+    if (!ends || mesh_.plan(l, b).faces[side].wall < 0 || row.neighbour(side) == 0) continue;
     Boundary const kind = mesh_.hierarchy().domain().boundary[axis][side % 2];
-    out += row.neighbour[side] * wall_ghost(kind, mesh_.level(l).spacing()[axis]).datum *
+    out += row.neighbour(side) * wall_ghost(kind, mesh_.level(l).spacing()[axis]).datum *
            ghosts_.wall_datum(l, b, cut.cell, int(side), source.walls);
   }
   return out;
@@ -173,7 +179,7 @@ std::array<Real, 6> SecondOrderResidual::differences(int l, int b, CutCell const
     auto const line = [&] {
       return ghosts_.line_through(l, b, cut, row, int(side) / 2, phi, source.walls, source.potentials);
     };
-    out[side] = row.surface[side] != 0
+    out[side] = row.surface(side) != 0
                     ? line().across(int(side) % 2)
                     : ghosts_.value_beyond(l, b, cut.cell, int(side), cells) - cells[mesh_.box(l, b).offset(cut.cell)];
     if (cut.is_cut(side) && !(cut.is_cut(shortest) && cut.arm[shortest] <= cut.arm[side])) shortest = side;
@@ -196,7 +202,7 @@ void SecondOrderResidual::for_each_charge(Source const& source, Field const& phi
       std::size_t const place = std::size_t(mesh_.offset(l, b) + own.offset(cut.cell));
       auto const across = differences(l, b, cut, row, source, phi);
       for (std::size_t n = 0; n < 6; ++n)
-        if (cut.is_cut(n) && row.surface[n] != 0)
+        if (cut.is_cut(n) && row.surface(n) != 0)
           f(l, place, cut.electrode[n],
             vacuum_permittivity * mesh_.volume(l) * equation.weight[int(n) / 2] * across[n]);
     };

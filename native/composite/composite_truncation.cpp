@@ -80,8 +80,14 @@ ArrayOnBox<char> usable_parents(Level const& level, Level const* finer, Index3 c
     out.fill(below, 0);
     out.fill(above, 0);
   }
-  for (CutCell const& cut : metal.cut()) out.fill(Box{cut.cell, cut.cell}.grow(1), 0);
-  for (SolidCell const& solid : metal.solid()) out.fill({solid.cell, solid.cell}, 0);
+  amrpic::for_each_row(region.grow(1), [&](Index3 const& first) {
+    metal.for_each_cut(first, region.extent(0) + 2, [&](CutCell const& cut) {
+      out.fill(Box{cut.cell, cut.cell}.grow(1), 0);
+    });
+    metal.for_each_solid(first, region.extent(0) + 2, [&](SolidCell const& solid) {
+      out.fill({solid.cell, solid.cell}, 0);
+    });
+  });
   return out;
 }
 

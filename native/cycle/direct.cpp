@@ -154,13 +154,15 @@ DenseRows::DenseRows(Index3 const& cells, Equation const& equation, WallGhosts c
     CutRow const row = cut_row(equation, arms, cut.hold);
     clear_row(cut.cell);
     at(cut.cell, cut.cell) = -row.diagonal;
-    for (std::size_t side = 0; side < 6; ++side) at(cut.cell, place[side]) += row.neighbour[side] * factor[side];
+    for (std::size_t side = 0; side < 6; ++side) at(cut.cell, place[side]) += row.neighbour(side) * factor[side];
   }
-  for (SolidCell const& solid : metal.solid()) {
-    clear_row(solid.cell);
-    at(solid.cell, solid.cell) = -equation.diagonal();
-    solid_.push_back(std::size_t(box.offset(solid.cell)));
-  }
+  for_each_row(box, [&](Index3 const& first) {
+    metal.for_each_solid(first, box.extent(0), [&](SolidCell const& solid) {
+      clear_row(solid.cell);
+      at(solid.cell, solid.cell) = -equation.diagonal();
+      solid_.push_back(std::size_t(box.offset(solid.cell)));
+    });
+  });
   int const n = int(size);
   int info = 0;
   dgetrf_(&n, &n, matrix_.data(), &n, pivots_.data(), &info);

@@ -41,6 +41,27 @@ inline Real smallest_spacing(Level const& level) {
   return std::min({level.spacing()[0], level.spacing()[1], level.spacing()[2]});
 }
 
+/// A cut cell with its neighbours beside it in a Vector.
+struct InnerCut {
+  std::int32_t place;  ///< in a Vector
+  std::array<float, 6> weight;
+  float step;
+};
+
+/// A cut cell at an end of its block.
+struct OuterCut {
+  std::int32_t row, cut;  ///< their numbers
+};
+
+/// What metal makes of a plane of a block; cut cells by colour.
+struct MetalPlane {
+  struct Part {
+    std::int32_t first = 0, last = 0;
+  };
+  std::array<Part, 2> inner, outer;
+  Part solids;  ///< runs, whose places are those in a Vector
+};
+
 /// The rows of a level's blocks, for sweeps over a layout: see RowTable.
 class Stencil {
  public:
@@ -70,10 +91,18 @@ class Stencil {
   std::vector<MetalRow> const& metal_rows() const { return metal_rows_; }
   std::vector<CutPlace> const& cuts() const { return cuts_; }
   std::vector<SolidRun> const& solids() const { return solids_; }
+  // The same by planes, for a thread that sweeps whole ones.
+  MetalPlane const& metal_plane(std::size_t block, int plane) const {  ///< counted from the block's first
+    return metal_planes_[std::size_t(first_plane_[block] + plane)];
+  }
+  InnerCut const* inner_cuts() const { return inner_cuts_.data(); }
+  OuterCut const* outer_cuts() const { return outer_cuts_.data(); }
+  SolidRun const* solids_in_planes() const { return solids_in_planes_.data(); }
   std::size_t bytes() const;
 
  private:
   CutPlace const* cut_at(std::size_t row, int place) const;  ///< null where the cell of a row is not cut
+  bool is_solid(std::size_t row, int place) const;
   static std::vector<Ghost> ghosts(Level const& level, Layout const& layout, GhostRules const& rules,
                                    MetalCells const& metal, CellBlock const& block, Face const& face, int axis,
                                    int side);
@@ -85,7 +114,11 @@ class Stencil {
   void add_metal(Level const& level, CellBlock const& block, BoxFaces const& faces, GhostRules const& rules,
                  std::array<std::array<std::vector<Ghost>, 2>, 3> const& ghosts, Equation const& equation,
                  MetalCells const& metal, Row* rows);
-  void add_metal_row(Row& row, std::array<std::vector<CutPlace>, 2> const& cuts, std::vector<SolidRun> const& solids);
+  void add_metal_row(Row const& row, std::array<std::vector<CutPlace>, 2> const& cuts,
+                     std::vector<SolidRun> const& solids);
+  template <class F>
+  void for_each_metal_row(Row const* first, int count, F&& f) const;
+  void add_metal_planes(CellBlock const& block, Row const* rows);
   std::int32_t pooled(std::size_t pitch, std::vector<float> const& diagonal, std::vector<float> const& held);
 
   Real relaxation_;
@@ -101,6 +134,11 @@ class Stencil {
   std::vector<MetalRow> metal_rows_;
   std::vector<CutPlace> cuts_;
   std::vector<SolidRun> solids_;
+  std::vector<std::int32_t> first_plane_;  ///< of blocks
+  std::vector<MetalPlane> metal_planes_;
+  std::vector<InnerCut> inner_cuts_;
+  std::vector<OuterCut> outer_cuts_;
+  std::vector<SolidRun> solids_in_planes_;
   mutable std::vector<float> cut_values_;
 };
 

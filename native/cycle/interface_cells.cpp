@@ -92,7 +92,7 @@ void InterfaceCells::add_metal(InterfaceSide const& face, Box const& parents, st
     if (cut) {
       std::array<Arm, 6> arms;
       for (std::size_t n = 0; n < 6; ++n) arms[n] = arm_of(*cut, n);
-      coarse = cut_row(coarse_equation, arms, cut->hold).neighbour[toward];
+      coarse = cut_row(coarse_equation, arms, cut->hold).neighbour(toward);
     }
     coarse *= fine_face_weight * beside->of_links();
     for (std::size_t b = 0; b < 2; ++b)

@@ -60,20 +60,22 @@ AMRPIC_OUT_OF_LINE KOKKOS_INLINE_FUNCTION void relax_cut(RowTable const& level, 
     level.cut_values[n] = relaxed(level.keep, at.here[i], cut.step, level.sum(row, at, cut), right[i]);
   });
 }
-/// These put in place.
+/// These put in place, and zeros in solid ones.
 template <class Worker>
-AMRPIC_OUT_OF_LINE KOKKOS_INLINE_FUNCTION void place_cut(RowTable const& level, Row const& row, int parity, float* here,
-                                                         Worker const& worker) {
+AMRPIC_OUT_OF_LINE KOKKOS_INLINE_FUNCTION void place_metal(RowTable const& level, Row const& row, int parity,
+                                                           float* here, Worker const& worker) {
   worker.barrier();
   for_each_cut(level, row, parity, worker, [&](CutPlace const& cut, int n) { here[cut.place] = level.cut_values[n]; });
+  clear_solid(level, row, here, worker);
 }
 template <class Worker>
-AMRPIC_OUT_OF_LINE KOKKOS_INLINE_FUNCTION void relax_cut_from_zero(RowTable const& level, Row const& row, int parity,
-                                                                   float const* right, float* here,
-                                                                   Worker const& worker) {
+AMRPIC_OUT_OF_LINE KOKKOS_INLINE_FUNCTION void relax_metal_from_zero(RowTable const& level, Row const& row, int parity,
+                                                                     float const* right, float* here,
+                                                                     Worker const& worker) {
   worker.barrier();
   for_each_cut(level, row, parity, worker,
                [&](CutPlace const& cut, int) { here[cut.place] = relaxed_from_zero(cut.step, right[cut.place]); });
+  clear_solid(level, row, here, worker);
 }
 
 /// One colour of a row relaxed, as if there were no metal.
@@ -91,18 +93,18 @@ KOKKOS_INLINE_FUNCTION void relax(RowTable const& level, Row const& row, int par
 }
 
 /// One colour of a row relaxed. Beside metal cut cells take no part in what is done to whole vectors: as cells of one
-/// colour do not see each other, their values are found before and put in place after it. The steps of solid ones are
-/// zero.
+/// colour do not see each other, their values are found before and put in place after it, with zeros in solid ones.
 template <int lanes, bool isotropic, bool with_metal, class Composed, class Worker>
 KOKKOS_INLINE_FUNCTION void relax(RowTable const& level, Row const& row, int colour, Composed const& composed,
                                   float const* r, float* e, Worker const& worker) {
   int const parity = (row.parity + colour) & 1;
+  bool const has_metal = with_metal && level.has_metal(row);
+  if (has_metal && level.metal(row).is_solid) return;
   CorrectionRow const at = level.correction<lanes>(row, e, composed);
   float const* const right = r + row.place;
-  bool const has_metal = with_metal && level.has_metal(row);
   if (has_metal) relax_cut(level, row, parity, at, right, worker);
   relax<lanes, isotropic>(level, row, parity, at, right, worker);
-  if (has_metal) place_cut(level, row, parity, at.here, worker);
+  if (has_metal) place_metal(level, row, parity, at.here, worker);
 }
 
 /// The same from zero: the other colour becomes zero.
@@ -116,7 +118,7 @@ KOKKOS_INLINE_FUNCTION void relax_from_zero(RowTable const& level, Row const& ro
     relax_from_zero<lanes>(here, right, step, row.pitch / lanes);
   else
     worker.for_each(row.pitch, [=](int i) { here[i] = relaxed_from_zero(step[i], right[i]); });
-  if (with_metal && level.has_metal(row)) relax_cut_from_zero(level, row, parity, right, here, worker);
+  if (with_metal && level.has_metal(row)) relax_metal_from_zero(level, row, parity, right, here, worker);
 }
 
 constexpr int chunk = 256;  ///< cells of a row of which a thread of the host has residuals in flight

@@ -28,6 +28,13 @@ struct CutPlace {
   float diagonal, step;  ///< `step`: relaxation / diagonal
 };
 
+/// The weighted sum over the neighbours of a cut cell.
+KOKKOS_INLINE_FUNCTION float sum_beside(std::array<float, 6> const& weight, float left, float right, float below_y,
+                                        float above_y, float below_z, float above_z) {
+  return (weight[0] * left + weight[1] * right) + (weight[2] * below_y + weight[3] * above_y) +
+         (weight[4] * below_z + weight[5] * above_z);
+}
+
 /// A run of cells in metal.
 struct SolidRun {
   std::int32_t place, count;
@@ -38,6 +45,7 @@ struct MetalRow {
   std::int32_t first_cut;
   std::array<std::int32_t, 2> cuts;
   std::int32_t first_solid, solids;
+  bool is_solid;  ///< all of it
 };
 
 /// A run of values of a row: factor * e[source + i] for `count` cells from `place` on; of differences, factor *
@@ -125,9 +133,8 @@ struct RowTable {
   /// The sum over the neighbours of a cut cell.
   KOKKOS_INLINE_FUNCTION float sum(Row const& row, CorrectionRow const& at, CutPlace const& cut) const {
     int const i = cut.place;
-    return (cut.weight[0] * before(row, at, i) + cut.weight[1] * after(row, at, i)) +
-           (cut.weight[2] * at.beside[0][i] + cut.weight[3] * at.beside[1][i]) +
-           (cut.weight[4] * at.beside[2][i] + cut.weight[5] * at.beside[3][i]);
+    return sum_beside(cut.weight, before(row, at, i), after(row, at, i), at.beside[0][i], at.beside[1][i],
+                      at.beside[2][i], at.beside[3][i]);
   }
   /// The weighted sum over the neighbours of a cell.
   KOKKOS_INLINE_FUNCTION float sum(Row const& row, CorrectionRow const& at, int i) const {

@@ -38,18 +38,83 @@ void Sweep::for_each_row(std::size_t block, int k, RowChoice const& rows, F&& f)
 void Sweep::relax(std::size_t block, int k, int colour, bool from_zero, RowChoice const& rows, Vector const& r,
                   Vector& e) const {
   auto const composed = composer(e.data(), false);
-  with_kind(layout_.blocks()[block].lanes, table_.isotropic, [&](auto lanes, auto isotropic) {
+  CellBlock const& of = layout_.blocks()[block];
+  bool const by_plane = table_.metal_of && !rows.number;
+  MetalPlane const* const plane = by_plane ? &stencil_.metal_plane(block, k - of.box.lower[2]) : nullptr;
+  if (by_plane && !from_zero) find_cut_values(*plane, colour, of.cells, r, e);
+  with_kind(of.lanes, table_.isotropic, [&](auto lanes, auto isotropic) {
     auto const act = [&](auto with_metal) {
       if (from_zero)
         return for_each_row(block, k, rows, [&](Row const& row, int) {
           cycle::relax_from_zero<lanes(), with_metal()>(table_, row, colour, r.data(), e.data(), Thread{});
         });
       for_each_row(block, k, rows, [&](Row const& row, int) {
+        if (by_plane && table_.has_metal(row) && table_.metal(row).is_solid) return;
         cycle::relax<lanes(), isotropic(), with_metal()>(table_, row, colour, composed, r.data(), e.data(), Thread{});
       });
     };
-    table_.metal_of ? act(std::true_type()) : act(std::false_type());
+    table_.metal_of && !by_plane ? act(std::true_type()) : act(std::false_type());
   });
+  if (by_plane && from_zero) find_cut_values_from_zero(*plane, colour, r);
+  if (by_plane) place_metal(*plane, colour, e);
+}
+
+/// The values of the cut cells of one colour of a plane after a step; they do not see each other.
+void Sweep::find_cut_values(MetalPlane const& plane, int colour, Placement const& cells, Vector const& r,
+                            Vector& e) const {
+  auto const [first, last] = plane.inner[std::size_t(colour)];
+  inner_.resize(std::size_t(last - first));
+  InnerCut const* const inner = stencil_.inner_cuts() + first;
+  float const *const right = r.data(), keep = table_.keep;
+  std::ptrdiff_t const y = cells.pitch_y, z = cells.pitch_z;
+  for (std::size_t n = 0; n < inner_.size(); ++n) {
+    InnerCut const& cut = inner[n];
+    float const* const at = e.data() + cut.place;
+    float const sum = sum_beside(cut.weight, at[-1], at[1], at[-y], at[y], at[-z], at[z]);
+    inner_[n] = relaxed(keep, at[0], cut.step, sum, right[cut.place]);
+  }
+  auto const composed = composer(e.data(), false);
+  outer_.clear();
+  Row const* latest = nullptr;
+  CorrectionRow at{};
+  for (int n = plane.outer[std::size_t(colour)].first; n < plane.outer[std::size_t(colour)].last; ++n) {
+    OuterCut const& outer = stencil_.outer_cuts()[n];
+    Row const& row = table_.rows[outer.row];
+    CutPlace const& cut = table_.cuts[outer.cut];
+    if (&row != latest) at = table_.correction<1>(row, e.data(), composed), latest = &row;
+    outer_.push_back(
+        relaxed(keep, at.here[cut.place], cut.step, table_.sum(row, at, cut), right[row.place + cut.place]));
+  }
+}
+
+/// The same where all values are zero.
+void Sweep::find_cut_values_from_zero(MetalPlane const& plane, int colour, Vector const& r) const {
+  auto const [first, last] = plane.inner[std::size_t(colour)];
+  inner_.resize(std::size_t(last - first)), outer_.clear();
+  for (int n = first; n < last; ++n) {
+    InnerCut const& cut = stencil_.inner_cuts()[n];
+    inner_[std::size_t(n - first)] = relaxed_from_zero(cut.step, r[std::size_t(cut.place)]);
+  }
+  for (int n = plane.outer[std::size_t(colour)].first; n < plane.outer[std::size_t(colour)].last; ++n) {
+    OuterCut const& outer = stencil_.outer_cuts()[n];
+    CutPlace const& cut = table_.cuts[outer.cut];
+    outer_.push_back(relaxed_from_zero(cut.step, r[std::size_t(table_.rows[outer.row].place + cut.place)]));
+  }
+}
+
+/// These put in place, and zeros in solid ones.
+void Sweep::place_metal(MetalPlane const& plane, int colour, Vector& e) const {
+  int const first = plane.inner[std::size_t(colour)].first, first_outer = plane.outer[std::size_t(colour)].first;
+  for (std::size_t n = 0; n < inner_.size(); ++n)
+    e[std::size_t(stencil_.inner_cuts()[first + int(n)].place)] = inner_[n];
+  for (std::size_t n = 0; n < outer_.size(); ++n) {
+    OuterCut const& outer = stencil_.outer_cuts()[first_outer + int(n)];
+    e[std::size_t(table_.rows[outer.row].place + table_.cuts[outer.cut].place)] = outer_[n];
+  }
+  for (int n = plane.solids.first; n < plane.solids.last; ++n) {
+    SolidRun const& run = stencil_.solids_in_planes()[n];
+    std::fill_n(&e[std::size_t(run.place)], run.count, 0.0f);
+  }
 }
 
 template <bool of_residual>

@@ -47,6 +47,9 @@ class Sweep {
   void for_each_row(std::size_t block, int k, RowChoice const& rows, F&& f) const;
   [[gnu::noinline]] float const* composed(std::size_t side, std::int32_t number, float const* e,
                                           bool differences) const;
+  void find_cut_values(MetalPlane const& plane, int colour, Placement const& cells, Vector const& r, Vector& e) const;
+  void find_cut_values_from_zero(MetalPlane const& plane, int colour, Vector const& r) const;
+  void place_metal(MetalPlane const& plane, int colour, Vector& e) const;
   /// Composes rows beside a row, or their differences to that.
   auto composer(float const* e, bool differences) const {
     return [=](std::size_t side, std::int32_t number) { return composed(side, number, e, differences); };
@@ -55,7 +58,8 @@ class Sweep {
   Layout const& layout_;
   Stencil const& stencil_;
   RowTable table_;
-  mutable std::array<Vector, 4> buffer_;  ///< composed rows beside a row
+  mutable std::array<Vector, 4> buffer_;      ///< composed rows beside a row
+  mutable std::vector<float> inner_, outer_;  ///< values of cut cells of a plane
 };
 
 }  // namespace amrpic::cycle

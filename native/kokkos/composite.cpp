@@ -216,7 +216,7 @@ CutCellPlace Composite::cut_cell(int l, int b, int k, CompositeMesh::CutHere con
     Index3 const& cell = here.cell.cell;
     std::int32_t const on_face = (cell[u] - own.lower[u]) + own.extent(u) * (cell[v] - own.lower[v]);
     out.datum[side] = here.cell.is_cut(side)        ? here.cell.electrode[side]
-                      : here.row.surface[side] != 0 ? ~(mesh_.plan(l, b).faces[side].wall + on_face)
+                      : here.row.surface(side) != 0 ? ~(mesh_.plan(l, b).faces[side].wall + on_face)
                                                     : 0;
     if (here.is_inside(side)) {
       out.in[side] = CutCellPlace::In::cells;
@@ -548,15 +548,15 @@ void Composite::residuals_of_cut_cells(int l, Background const& background) {
         Real sum = -cut.row.diagonal * here, of_surfaces = 0;
         for (std::size_t side = 0; side < 6; ++side) {
           std::int32_t const at = cut.beyond[side], datum = cut.datum[side];
-          if (cut.row.neighbour[side] != 0) {
+          if (cut.row.neighbour(side) != 0) {
             Real const beyond = cut.in[side] == CutCellPlace::In::cells    ? phi(at)
                                 : cut.in[side] == CutCellPlace::In::ghosts ? level.ghosts(at)
                                 : cut.in[side] == CutCellPlace::In::fluxes ? here + fine_face_weight * fluxes(at)
                                                                            : here + fine_face_weight * received(at);
-            sum += cut.row.neighbour[side] * beyond;
+            sum += cut.row.neighbour(side) * beyond;
           }
-          if (cut.row.surface[side] != 0)
-            of_surfaces += cut.row.surface[side] * (datum >= 0 ? potentials(datum) : level.datum.array()(~datum));
+          if (cut.row.surface(side) != 0)
+            of_surfaces += cut.row.surface(side) * (datum >= 0 ? potentials(datum) : level.datum.array()(~datum));
         }
         level.of_cut(cut.special) =
             cut.row.scale * background.right_hand_side(level.rho.array()(cut.cell)) - sum - of_surfaces;

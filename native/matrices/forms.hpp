@@ -146,7 +146,7 @@ inline Form cut_laplacian_form(Equation const& equation, Form const& here, CutCe
   CutRow const row = cut_row(equation, arms, cut.hold);
   Form out(here.terms()[0].column, -row.diagonal);
   for (std::size_t n = 0; n < 6; ++n)
-    if (row.neighbour[n] != 0) out += row.neighbour[n] * across(int(n) / 2, int(n) % 2);
+    if (row.neighbour(n) != 0) out += row.neighbour(n) * across(int(n) / 2, int(n) % 2);
   return out;
 }
 

@@ -32,6 +32,12 @@ struct Box {
            GlobalIndex(extent(0)) * ((cell[1] - lower[1]) + GlobalIndex(extent(1)) * (cell[2] - lower[2]));
   }
 
+  /// The cell at a place.
+  Index3 cell_at(GlobalIndex offset) const {
+    GlobalIndex const row = offset / extent(0);
+    return {lower[0] + int(offset % extent(0)), lower[1] + int(row % extent(1)), lower[2] + int(row / extent(1))};
+  }
+
   /// How far apart the places of neighbours along an axis are.
   KOKKOS_INLINE_FUNCTION std::ptrdiff_t stride(int axis) const {
     return axis == 0 ? 1 : axis == 1 ? extent(0) : std::ptrdiff_t(extent(0)) * extent(1);

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 
 #include "mesh/box_set.hpp"
 
@@ -16,13 +17,20 @@ bool is_behind_wall(CutCell const& cut, std::size_t n, Level const& level) {
   return ends && !level.periodic()[axis] && cut.arm[n] >= wall_arm;
 }
 
-std::vector<CutCell> without_metal_behind_walls(std::vector<CutCell> cells, Level const& level) {
-  for (CutCell& cut : cells)
+MetalCells without_metal_behind_walls(MetalCells const& cells, Level const& level) {
+  auto const has_any = [&](CutCell const& cut) {
+    for (std::size_t n = 0; n < 6; ++n)
+      if (cut.is_cut(n) && is_behind_wall(cut, n, level)) return true;
+    return false;
+  };
+  if (std::none_of(cells.cut().begin(), cells.cut().end(), has_any)) return cells;
+  std::vector<CutCell> out;
+  for (CutCell cut : cells.cut()) {
     for (std::size_t n = 0; n < 6; ++n)
       if (is_behind_wall(cut, n, level)) cut.electrode[n] = -1;
-  auto const is_whole = [](CutCell const& cut) { return !cut.is_cut(); };
-  cells.erase(std::remove_if(cells.begin(), cells.end(), is_whole), cells.end());
-  return cells;
+    if (cut.is_cut()) out.push_back(cut);
+  }
+  return cells.with(std::move(out));
 }
 
 /// What a box is within the domain, piece by piece; images behind periodic faces are those of its cells.
@@ -49,7 +57,9 @@ std::vector<Box> within_domain(Level const& level, Box const& box) {
 }
 
 std::vector<Box> without(std::vector<Box> boxes, std::vector<Box> const& holes) {
-  for (Box const& hole : holes) boxes = amrpic::without(boxes, hole);
+  for (Box const& hole : holes)
+    if (std::any_of(boxes.begin(), boxes.end(), [&](Box const& box) { return !box.intersect(hole).empty(); }))
+      boxes = amrpic::without(boxes, hole);
   return boxes;
 }
 
@@ -73,55 +83,48 @@ std::vector<Box> disjoint(std::vector<Box> const& boxes) {
 
 }  // namespace
 
-/// Sorted.
+/// In boxes, which may overlap; sorted.
 MetalCells const& Metal::found(std::vector<Box> const& boxes, Real3 const& spacing) const {
   for (Known const& known : known_) {
-    if (known.spacing != spacing) continue;
-    auto const is_known = [&](Box const& box) { return without({box}, known.boxes).empty(); };
-    if (std::all_of(boxes.begin(), boxes.end(), is_known)) return known.cells;
+    auto const is_known = [&](Box const& box) { return known.boxes.cells_in(box) == box.cells(); };
+    if (known.spacing == spacing && std::all_of(boxes.begin(), boxes.end(), is_known)) return known.cells;
   }
-  auto [cut, solid] = ask_(boxes, spacing);
-  auto const sort = [&](auto& cells) {
-    auto const before = [](auto const& a, auto const& b) { return comes_before(a.cell, b.cell); };
-    if (boxes.size() > 1) std::sort(cells.begin(), cells.end(), before);
-  };
-  sort(cut), sort(solid);
-  known_.push_back({spacing, boxes, {std::move(cut), std::move(solid)}});
+  std::vector<Box> const asked = disjoint(boxes);
+  auto [cut, solid] = ask_(asked, spacing);
+  if (asked.size() > 1) {
+    std::sort(cut.begin(), cut.end(), [](auto const& a, auto const& b) { return comes_before(a.cell, b.cell); });
+    std::sort(solid.begin(), solid.end(), [](auto const& a, auto const& b) { return comes_before(a.first, b.first); });
+  }
+  known_.push_back({spacing, BoxTable(asked), {std::move(cut), std::move(solid)}});
   return known_.back().cells;
 }
 
-/// Add the cells whose arms miss metal that arms of finer levels meet there. Corrections that did not know of it, such
-/// as of a grid of wires, would overshoot without bound. Its hold is that of a potential that is constant in each
+/// Cells, and those whose arms miss metal that arms of finer levels meet there. Corrections that did not know of it,
+/// such as of a grid of wires, would overshoot without bound. Its hold is that of a potential that is constant in each
 /// coarse cell: the mean over the finest cells of what metal adds to their diagonals, each arm that it cuts as if it
 /// ended at a centre.
-void Metal::add_thin(Level const& level, std::vector<Box> const& regions, std::vector<Level const*> const& finer,
-                     MetalCells& cells) const {
-  std::vector<CutCell> out = cells.cut();
-  for (Box const& region : regions) {
-    constexpr Real in_metal = -1;
-    std::vector<Real> hold(std::size_t(region.cells()), 0.0);
-    for (SolidCell const& solid : cells.solid())
-      if (region.contains(solid.cell)) hold[std::size_t(region.offset(solid.cell))] = in_metal;
-    for (std::size_t n = 0; n < finer.size(); ++n)
-      add_holds(level, *finer[n], n + 1 < finer.size() ? finer[n + 1] : nullptr, region, hold);
-    for (std::size_t n = 0; n < cells.cut().size(); ++n) {
-      if (!region.contains(out[n].cell)) continue;
-      Real& h = hold[std::size_t(region.offset(out[n].cell))];
-      if (!out[n].is_cut()) out[n].hold = h;
-      h = 0;
-    }
-    for_each_cell(region, [&](Index3 const& cell) {
-      if (Real const h = hold[std::size_t(region.offset(cell))]; h > 0) out.push_back(CutCell::uncut(cell, h));
-    });
+MetalCells Metal::with_thin(Level const& level, std::vector<Box> const& regions, std::vector<Level const*> const& finer,
+                            MetalCells const& cells) const {
+  std::vector<Hold> holds;
+  for (std::size_t n = 0; n < finer.size(); ++n)
+    add_holds(level, *finer[n], n + 1 < finer.size() ? finer[n + 1] : nullptr, regions, cells, holds);
+  if (holds.empty()) return cells;
+  std::stable_sort(holds.begin(), holds.end(),
+                   [](Hold const& a, Hold const& b) { return comes_before(a.cell, b.cell); });
+  std::vector<CutCell> held, out;
+  for (Hold const& hold : holds) {
+    if (held.empty() || held.back().cell != hold.cell) held.push_back(CutCell::uncut(hold.cell));
+    held.back().hold += hold.share;
   }
-  std::sort(out.begin(), out.end(), [](auto const& a, auto const& b) { return comes_before(a.cell, b.cell); });
-  cells = {std::move(out), cells.solid()};
+  out.reserve(cells.cut().size() + held.size());
+  std::merge(cells.cut().begin(), cells.cut().end(), held.begin(), held.end(), std::back_inserter(out),
+             [](CutCell const& a, CutCell const& b) { return comes_before(a.cell, b.cell); });
+  return cells.with(std::move(out));
 }
 
-/// Those of the cells of a finer level that `next` does not cover, to cells of which it is not negative: the others are
-/// in metal.
-void Metal::add_holds(Level const& level, Level const& finer, Level const* next, Box const& region,
-                      std::vector<Real>& hold) const {
+/// Those of the cells of a finer level that `next` does not cover, by cells that are neither cut nor in metal.
+void Metal::add_holds(Level const& level, Level const& finer, Level const* next, std::vector<Box> const& regions,
+                      MetalCells const& cells, std::vector<Hold>& to) const {
   Index3 ratio;
   Real coarse = 0, children = 1;
   Real3 weight;
@@ -132,35 +135,45 @@ void Metal::add_holds(Level const& level, Level const& finer, Level const* next,
     children *= ratio[d];
   }
   std::vector<Box> parts;
-  finer.for_each_overlap(region.refine(ratio).intersect(finer.domain()),
-                         [&](int, Box const& part, Index3 const&) { parts.push_back(part); });
-  parts = disjoint(parts);
+  for (Box const& region : regions)
+    finer.for_each_overlap(region.refine(ratio).intersect(finer.domain()),
+                           [&](int, Box const& part, Index3 const&) { parts.push_back(part); });
   if (children == 1 || parts.empty()) return;
   MetalCells const& metal = found(parts, finer.spacing());
-  auto const add = [&](Index3 const& child, Real share) {
-    Index3 const cell{child[0] / ratio[0], child[1] / ratio[1], child[2] / ratio[2]};
-    if (!region.contains(cell)) return;
-    Real& of_cell = hold[std::size_t(region.offset(cell))];
-    if (of_cell < 0 || finer.find(child) < 0 || (next && next->find(first_child_of(child)) >= 0)) return;
-    of_cell += share / (children * coarse);
+  auto const counts = [&](Index3 const& cell, Index3 const& child) {
+    return level.domain().contains(cell) && !cells.cut_at(cell) && finer.find(child) >= 0 &&
+           !(next && next->find(first_child_of(child)) >= 0);
   };
-  for (CutCell const& cut : metal.cut())
+  auto const parent = [&](Index3 const& child) {
+    return Index3{child[0] / ratio[0], child[1] / ratio[1], child[2] / ratio[2]};
+  };
+  Real const whole = children * coarse;
+  for (CutCell const& cut : metal.cut()) {
+    Index3 const cell = parent(cut.cell);
+    if (cells.solid_at(cell) || !counts(cell, cut.cell)) continue;
     for (std::size_t n = 0; n < 6; ++n)
-      if (cut.is_cut(n) && !is_behind_wall(cut, n, finer)) add(cut.cell, weight[int(n) / 2]);
-  for (SolidCell const& solid : metal.solid()) add(solid.cell, 2 * (weight[0] + weight[1] + weight[2]));
+      if (cut.is_cut(n) && !is_behind_wall(cut, n, finer)) to.push_back({cell, weight[int(n) / 2] / whole});
+  }
+  Real const of_solid = 2 * (weight[0] + weight[1] + weight[2]) / whole;
+  for (SolidCells const& run : metal.solid())
+    for (Index3 child = run.first; child[0] < run.first[0] + run.count; ++child[0]) {
+      Index3 const cell = parent(child);
+      if (SolidCells const* const own = cells.solid_at(cell))  // on to what lies behind these
+        child[0] = ratio[0] * (own->first[0] + own->count) - 1;
+      else if (counts(cell, child))
+        to.push_back({cell, of_solid});
+    }
 }
 
 MetalCells Metal::cells(Level const& level, std::vector<Box> const& boxes,
                         std::vector<Level const*> const& finer) const {
   std::vector<Box> regions;
   for (Box const& box : boxes)
-    for (Box const& piece : within_domain(level, box)) regions.push_back(piece);
-  regions = disjoint(regions);
+    for (Box const& piece : within_domain(level, box))
+      if (!piece.empty()) regions.push_back(piece);
   if (regions.empty()) return {};
-  MetalCells const& all = found(regions, level.spacing());
-  MetalCells out{without_metal_behind_walls(all.cut(), level), all.solid()};
-  if (!finer.empty()) add_thin(level, regions, finer, out);
-  return out;
+  MetalCells const cells = without_metal_behind_walls(found(regions, level.spacing()), level);
+  return finer.empty() ? cells : with_thin(level, regions, finer, cells);
 }
 
 MetalCells Metal::own_cells(Level const& level) const {

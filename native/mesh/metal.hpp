@@ -6,6 +6,7 @@
 #include <functional>
 #include <list>
 #include <memory>
+#include <numeric>
 #include <utility>
 #include <vector>
 
@@ -41,55 +42,116 @@ struct SolidCell {
   int electrode;
 };
 
+/// Such cells in a run along x.
+struct SolidCells {
+  Index3 first;
+  int count;
+  int electrode;
+};
+
 /// Whether a cell comes first by z, y, x.
 inline bool comes_before(Index3 const& a, Index3 const& b) {
   return std::array{a[2], a[1], a[0]} < std::array{b[2], b[1], b[0]};
 }
 
-/// The cut and the solid cells in a region of a level, sorted by z, y, x.
+/// Cut cells, or runs of solid ones, sorted by z, y, x, and where each row of them begins.
+template <class Run>
+class CellRows {
+ public:
+  CellRows() = default;
+  explicit CellRows(std::vector<Run> runs) : runs_(std::move(runs)) {
+    for (Run const& run : runs_) {
+      Box const cells = box_of(run);
+      hull_ = hull_.empty() ? cells : hull_.hull(cells);
+    }
+    if (runs_.empty()) return;
+    first_.assign(std::size_t(hull_.extent(1)) * std::size_t(hull_.extent(2)) + 1, 0);
+    for (Run const& run : runs_) ++first_[row_of(box_of(run).lower) + 1];
+    std::partial_sum(first_.begin(), first_.end(), first_.begin());
+  }
+
+  std::vector<Run> const& all() const { return runs_; }
+  Box const& hull() const { return hull_; }
+  Run const* find(Index3 const& cell) const {  ///< null if there is none
+    if (!hull_.contains(cell)) return nullptr;
+    auto const [first, end] = row(cell);
+    auto const after = after_place(first, end, cell[0]);
+    return after != first && box_of(after[-1]).upper[0] >= cell[0] ? after - 1 : nullptr;
+  }
+  /// Call f(run) for those that meet a row of `count` cells.
+  template <class F>
+  void for_each(Index3 const& from, int count, F&& f) const {
+    if (!hull_.contains(Index3{hull_.lower[0], from[1], from[2]})) return;
+    auto const [first, end] = row(from);
+    auto at = after_place(first, end, from[0]);
+    if (at != first && box_of(at[-1]).upper[0] >= from[0]) --at;
+    for (; at != end && box_of(*at).lower[0] < from[0] + count; ++at) f(*at);
+  }
+
+ private:
+  static Box box_of(CutCell const& cut) { return {cut.cell, cut.cell}; }
+  static Box box_of(SolidCells const& run) {
+    return {run.first, {run.first[0] + run.count - 1, run.first[1], run.first[2]}};
+  }
+  std::size_t row_of(Index3 const& cell) const {
+    return std::size_t(cell[1] - hull_.lower[1]) + std::size_t(hull_.extent(1)) * std::size_t(cell[2] - hull_.lower[2]);
+  }
+  std::pair<Run const*, Run const*> row(Index3 const& cell) const {
+    std::size_t const n = row_of(cell);
+    return {runs_.data() + first_[n], runs_.data() + first_[n + 1]};
+  }
+  /// The first that begins after a place along x.
+  static Run const* after_place(Run const* first, Run const* end, int x) {
+    return std::upper_bound(first, end, x, [](int place, Run const& run) { return place < box_of(run).lower[0]; });
+  }
+
+  std::vector<Run> runs_;
+  Box hull_;
+  std::vector<std::int32_t> first_;  ///< of each row of the hull, y fastest, and the end
+};
+
+/// The cut and the solid cells in a region of a level, sorted by z, y, x. Copies share them.
 class MetalCells {
  public:
-  MetalCells() = default;
-  MetalCells(std::vector<CutCell> cut, std::vector<SolidCell> solid) : cut_(std::move(cut)), solid_(std::move(solid)) {}
+  MetalCells() : MetalCells({}, {}) {}
+  MetalCells(std::vector<CutCell> cut, std::vector<SolidCells> solid)
+      : cut_(std::make_shared<CellRows<CutCell>>(std::move(cut))),
+        solid_(std::make_shared<CellRows<SolidCells>>(std::move(solid))) {}
 
-  std::vector<CutCell> const& cut() const { return cut_; }
-  std::vector<SolidCell> const& solid() const { return solid_; }
-  bool empty() const { return cut_.empty() && solid_.empty(); }
+  std::vector<CutCell> const& cut() const { return cut_->all(); }
+  std::vector<SolidCells> const& solid() const { return solid_->all(); }
+  bool empty() const { return cut().empty() && solid().empty(); }
+  /// The smallest box with all of them.
+  Box hull() const {
+    Box const &cut = cut_->hull(), &solid = solid_->hull();
+    return cut.empty() ? solid : solid.empty() ? cut : cut.hull(solid);
+  }
+  /// The same solid cells with others that are cut.
+  MetalCells with(std::vector<CutCell> cut) const {
+    MetalCells out = *this;
+    out.cut_ = std::make_shared<CellRows<CutCell>>(std::move(cut));
+    return out;
+  }
   // Null for a cell that is no such one.
-  CutCell const* cut_at(Index3 const& cell) const { return find(cut_, cell); }
-  SolidCell const* solid_at(Index3 const& cell) const { return find(solid_, cell); }
+  CutCell const* cut_at(Index3 const& cell) const { return cut_->find(cell); }
+  SolidCells const* solid_at(Index3 const& cell) const { return solid_->find(cell); }
 
   /// Call f(cell) for those of a row of `count` cells.
   template <class F>
   void for_each_cut(Index3 const& first, int count, F&& f) const {
-    for_each_in_row(cut_, first, count, f);
+    cut_->for_each(first, count, f);
   }
   template <class F>
   void for_each_solid(Index3 const& first, int count, F&& f) const {
-    for_each_in_row(solid_, first, count, f);
+    solid_->for_each(first, count, [&](SolidCells const& run) {
+      int const begin = std::max(first[0], run.first[0]), end = std::min(first[0] + count, run.first[0] + run.count);
+      for (int i = begin; i < end; ++i) f(SolidCell{{i, first[1], first[2]}, run.electrode});
+    });
   }
 
  private:
-  template <class Cell>
-  static auto from(std::vector<Cell> const& cells, Index3 const& first) {
-    return std::lower_bound(cells.begin(), cells.end(), first,
-                            [](Cell const& a, Index3 const& b) { return comes_before(a.cell, b); });
-  }
-  template <class Cell>
-  static Cell const* find(std::vector<Cell> const& cells, Index3 const& cell) {
-    auto const at = from(cells, cell);
-    return at != cells.end() && at->cell == cell ? &*at : nullptr;
-  }
-  template <class Cell, class F>
-  static void for_each_in_row(std::vector<Cell> const& cells, Index3 const& first, int count, F&& f) {
-    auto at = from(cells, first);
-    for (; at != cells.end() && at->cell[2] == first[2] && at->cell[1] == first[1] && at->cell[0] < first[0] + count;
-         ++at)
-      f(*at);
-  }
-
-  std::vector<CutCell> cut_;
-  std::vector<SolidCell> solid_;
+  std::shared_ptr<CellRows<CutCell> const> cut_;
+  std::shared_ptr<CellRows<SolidCells> const> solid_;
 };
 
 /// Where the conductors of a problem are.
@@ -98,7 +160,7 @@ class Metal {
   /// ask(boxes, spacing) finds those in disjoint boxes of cells, in any order; indices start at the lower corner of the
   /// domain. Called by one thread, the same numbers for a cell whatever the boxes.
   using Ask =
-      std::function<std::pair<std::vector<CutCell>, std::vector<SolidCell>>(std::vector<Box> const&, Real3 const&)>;
+      std::function<std::pair<std::vector<CutCell>, std::vector<SolidCells>>(std::vector<Box> const&, Real3 const&)>;
   Metal(int electrodes, Ask ask) : electrodes_(electrodes), ask_(std::move(ask)) {}
 
   int electrodes() const { return electrodes_; }
@@ -115,16 +177,20 @@ class Metal {
 
  private:
   MetalCells const& found(std::vector<Box> const& boxes, Real3 const& spacing) const;
-  void add_thin(Level const& level, std::vector<Box> const& regions, std::vector<Level const*> const& finer,
-                MetalCells& cells) const;
-  void add_holds(Level const& level, Level const& finer, Level const* next, Box const& region,
-                 std::vector<Real>& hold) const;
+  MetalCells with_thin(Level const& level, std::vector<Box> const& regions, std::vector<Level const*> const& finer,
+                       MetalCells const& cells) const;
+  struct Hold {
+    Index3 cell;
+    Real share;
+  };
+  void add_holds(Level const& level, Level const& finer, Level const* next, std::vector<Box> const& regions,
+                 MetalCells const& cells, std::vector<Hold>& to) const;
 
   int electrodes_;
   Ask ask_;
   struct Known {
     Real3 spacing;
-    std::vector<Box> boxes;
+    BoxTable boxes;
     MetalCells cells;
   };
   mutable std::list<Known> known_;  // they stay where they are

@@ -15,15 +15,6 @@ constexpr Real shortest = wall_arm / 2;  ///< arm from which alone a slope is ta
 // Along the normal of a face between levels, from a cell to the centres of those behind it, of the other level.
 constexpr Real to_coarse = 1.5, to_fine = to_coarse / 2;
 
-Box hull_of(MetalCells const& metal) {
-  Box out;
-  auto const add = [&](auto const& cells) {
-    for (auto const& c : cells) out = out.empty() ? Box{c.cell, c.cell} : out.hull({c.cell, c.cell});
-  };
-  add(metal.cut()), add(metal.solid());
-  return out;
-}
-
 /// The electrode whose surface, taken for a plane through the ends of a cell's arms, passes between its centre and a
 /// place that is `away` along each of three sides; -1 if none does. Arms that are not cut are taken for endless.
 int between(CutCell const* cell, std::array<std::size_t, 3> const& sides, Real away) {
@@ -71,6 +62,7 @@ class ChangedArms {
     }
   }
   MetalCells cells() && {
+    if (changed_.empty()) return metal_;
     std::vector<CutCell> out;
     auto at = changed_.begin();
     for (CutCell const& cut : metal_.cut()) {
@@ -81,7 +73,7 @@ class ChangedArms {
         out.push_back(cut);
     }
     for (; at != changed_.end(); ++at) out.push_back(at->second);
-    return {std::move(out), metal_.solid()};
+    return metal_.with(std::move(out));
   }
 
  private:
@@ -169,8 +161,8 @@ LevelsInMetal::LevelsInMetal(Level const& coarser, Level const& finer, MetalCell
       finer_(finer),
       coarse_(std::move(coarse)),
       fine_(std::move(fine)),
-      near_coarse_(hull_of(coarse_)),
-      near_fine_(hull_of(fine_)) {}
+      near_coarse_(coarse_.hull()),
+      near_fine_(fine_.hull()) {}
 
 bool LevelsInMetal::is_near(CoarseFace const& face) const {
   if (near_coarse_.contains(coarser_.wrapped(face.coarse))) return true;
@@ -187,12 +179,12 @@ std::optional<LevelsInMetal::End> LevelsInMetal::end(CoarseFace const& face, int
   auto const [u, v] = tangential_axes(face.axis);
   std::size_t const outward = face.outward();
   Index3 const fine = face.fine(a, b), behind = moved(fine, face.axis, face.side == 0 ? -1 : 1);
-  if (SolidCell const* const solid = fine_.solid_at(finer_.wrapped(fine))) return End{0, solid->electrode};
+  if (SolidCells const* const solid = fine_.solid_at(finer_.wrapped(fine))) return End{0, solid->electrode};
   CutCell const* const own = fine_.cut_at(finer_.wrapped(fine));
   if (own && own->is_cut(outward)) return End{own->arm[outward], own->electrode[outward]};
   CutCell const* const ghost = fine_.cut_at(finer_.wrapped(behind));
   CutCell const* const coarse = coarse_.cut_at(coarser_.wrapped(face.coarse));
-  SolidCell const* const solid = coarse_.solid_at(coarser_.wrapped(face.coarse));
+  SolidCells const* const solid = coarse_.solid_at(coarser_.wrapped(face.coarse));
   // the coarse centre is half a cell from the one behind along each axis; of the coarse arms, a quarter
   std::array<std::size_t, 3> const there{std::size_t(2 * u + 1 - a), std::size_t(2 * v + 1 - b), outward};
   int on = solid ? solid->electrode : between(ghost, there, 0.5);

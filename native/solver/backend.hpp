@@ -80,6 +80,12 @@ class Backend {
     composite_.for_each_charge_within(rho, f);
   }
 
+  /// See CompositeLaplacian. Local.
+  template <class F>
+  void for_each_sight(F&& f) {
+    composite_.for_each_sight(f);
+  }
+
   /// The period of the step lengths, in cycles. Only a whole period reduces all error components equally.
   std::size_t steps_in_turn() const { return std::min<std::size_t>(steps_.size(), even_steps); }
 

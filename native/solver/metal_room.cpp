@@ -20,15 +20,16 @@ bool is_at_open_face(Hierarchy const& hierarchy, Level const& level, Index3 cons
 
 /// The first of this rank's cells in or beside metal, level by level, that is refused; its number among all cells.
 template <class Refused>
-GlobalIndex first_refused(std::vector<CutCell> const& cut, std::vector<SolidCell> const& solid, Level const& level,
-                          Refused&& refused) {
+GlobalIndex first_refused(MetalCells const& metal, Level const& level, Refused&& refused) {
   GlobalIndex out = std::numeric_limits<GlobalIndex>::max();
   auto const look = [&](Index3 const& cell) {
+    if (!refused(cell)) return;
     int const b = level.find(cell);
-    if (b >= 0 && level.owner(b) == level.rank() && refused(cell)) out = std::min(out, level.domain().offset(cell));
+    if (b >= 0 && level.owner(b) == level.rank()) out = std::min(out, level.domain().offset(cell));
   };
-  for (CutCell const& c : cut) look(c.cell);
-  for (SolidCell const& c : solid) look(c.cell);
+  for (CutCell const& c : metal.cut()) look(c.cell);
+  for (SolidCells const& run : metal.solid())
+    for (Index3 cell = run.first; cell[0] < run.first[0] + run.count; ++cell[0]) look(cell);
   return out;
 }
 
@@ -49,11 +50,10 @@ std::string place_of(Hierarchy const& hierarchy, Level const& level, GlobalIndex
 void require_room_around(Metal const& metal, Hierarchy const& hierarchy, Real3 const& stretch) {
   for (int l = 0; l < hierarchy.level_count(); ++l) {
     Level const& level = hierarchy.level(l);
-    MetalCells const cells = metal.own_cells(level);
-    GlobalIndex const open =
-        hierarchy.comm().smallest(first_refused(cells.cut(), cells.solid(), level, [&](Index3 const& cell) {
-          return is_at_open_face(hierarchy, level, cell);
-        }));
+    MetalCells const cells = metal.own_cells(level);  // also for those that ask for parts of them
+    if (!hierarchy.domain().has(Boundary::open)) continue;
+    GlobalIndex const open = hierarchy.comm().smallest(
+        first_refused(cells, level, [&](Index3 const& cell) { return is_at_open_face(hierarchy, level, cell); }));
     if (open != std::numeric_limits<GlobalIndex>::max())
       throw SolverError("an electrode meets an open face of the domain at " +
                         place_of(hierarchy, level, open, stretch) +

@@ -114,6 +114,13 @@ std::vector<Real> PoissonSolver::charges(Field const& phi, Field const& rho) {
   return out;
 }
 
+std::vector<Real> PoissonSolver::sights() {
+  std::vector<Real> out(potentials_.size(), -1);
+  backend_->for_each_sight([&](int of, Real weight) { out[std::size_t(of)] = std::max(out[std::size_t(of)], weight); });
+  hierarchy_->comm().largest_each(out);
+  return out;
+}
+
 /// The potential at open faces of the charge on electrodes in free space, V. Collective.
 std::vector<Real> PoissonSolver::of_induced_charge(Field const& phi, Field const& rho) {
   Field density(given_);

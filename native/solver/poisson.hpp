@@ -57,6 +57,9 @@ class PoissonSolver {
   /// The charge on each electrode, C, in the potential that a solve for rho left. What rho holds in its cells, the part
   /// of clouds that reach into metal, counts as imaged on it. Collective.
   std::vector<Real> charges(Field const& phi, Field const& rho);
+  /// How much cells outside metal see of each electrode: the largest weight of its potential in their equations, over
+  /// the diagonal; -1 of one that is nowhere on the mesh. Collective.
+  std::vector<Real> sights();
   /// Let open faces see the data that walls beside them hold now. Beyond its face a Dirichlet wall is at one of these
   /// potentials (V), wherever it goes on, and a Neumann wall has no slope. Local.
   void continue_walls(freespace::PerFace const& potentials);

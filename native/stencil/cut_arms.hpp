@@ -3,7 +3,9 @@
 
 #include <algorithm>
 #include <array>
+#include <cstdint>
 
+#include "base/kokkos.hpp"
 #include "stencil/equation.hpp"
 
 namespace amrpic {
@@ -61,9 +63,14 @@ struct Arm {
 /// its own value. It is that of the Laplacian times a factor of at most one, `scale`, so that no diagonal exceeds that
 /// of other cells: a short arm makes a large one, and its residual restricted would drown those beside it.
 struct CutRow {
-  std::array<Real, 6> neighbour{};  ///< factor of what lies beyond each side; 0 where it is cut
-  std::array<Real, 6> surface{};    ///< of the surface's potential, or of the wall's
+  std::array<Real, 6>
+      factor{};  ///< of what lies beyond each side, or of the potential of the surface, or the wall, there
   Real diagonal = 0, scale = 1;
+  std::uint8_t surfaces = 0;  ///< one bit for each side
+
+  KOKKOS_INLINE_FUNCTION bool has_surface(std::size_t side) const { return surfaces >> side & 1; }
+  KOKKOS_INLINE_FUNCTION Real neighbour(std::size_t side) const { return has_surface(side) ? 0 : factor[side]; }
+  KOKKOS_INLINE_FUNCTION Real surface(std::size_t side) const { return has_surface(side) ? factor[side] : 0; }
 };
 
 /// `hold`: of thin metal, over the diagonal of other cells.
@@ -80,12 +87,15 @@ inline CutRow cut_row(Equation const& equation, std::array<Arm, 6> const& arms, 
     Real const weight = equation.weight[axis];
     out.diagonal += weight * factor[2];
     for (std::size_t s = 0; s < 2; ++s) {
-      (side[s].is_cut ? out.surface : out.neighbour)[2 * axis + s] = weight * factor[s];
-      if (!side[s].is_cut) out.diagonal -= weight * factor[s] * side[s].first;
+      out.factor[2 * axis + s] = weight * factor[s];
+      if (side[s].is_cut)
+        out.surfaces = std::uint8_t(out.surfaces | 1 << (2 * axis + s));
+      else
+        out.diagonal -= weight * factor[s] * side[s].first;
     }
   }
   out.scale = std::min(Real(1), equation.diagonal() / of_metal);
-  for (std::size_t n = 0; n < 6; ++n) out.neighbour[n] *= out.scale, out.surface[n] *= out.scale;
+  for (Real& factor : out.factor) factor *= out.scale;
   out.diagonal *= out.scale;
   return out;
 }

@@ -48,6 +48,13 @@ REFUSED = {
         {},
         "meets an open face",
     ),
+    "a wire through one periodic face, between the lines of the base": (
+        {"x": CLOSED, "y": "periodic", "z": CLOSED},
+        [[((8, 0, 8), (23, 7, 23))]],
+        [at(shapes.Cylinder((0.03125, 0.9, 0.03125), (0.03125, 1.5, 0.03125), 0.02))],
+        {},
+        "meets a periodic face across y",
+    ),
     "an electrode that floats in a hollow without a cell": (
         CLOSED,
         (),
@@ -127,7 +134,8 @@ def test_electrodes_that_are_not_there_are_refused(comm):
 @pytest.mark.mpi(ranks=(1, 2))
 def test_neighbours_of_what_is_refused_are_taken(comm):
     """Metal that ends a cell before an open face; in a refined box, through its faces and beside it; through periodic faces
-    alike; one voltage where electrodes overlap; one of two that float held in a closed box."""
+    alike; one voltage where electrodes overlap; one of two that float held in a closed box; one that floats where all arms that
+    end on it are short."""
     taken = [
         ("open", (), [at(shapes.Box((-0.5, -0.5, -0.5), (0.5, 0.5, 0.8)))]),
         (CLOSED, patch(8, 23), [at(BALL)]),
@@ -136,6 +144,7 @@ def test_neighbours_of_what_is_refused_are_taken(comm):
         ({"x": CLOSED, "y": CLOSED, "z": "periodic"}, (), [at(shapes.Cylinder((0, 0, -5), (0, 0, 5), 0.3))]),
         (CLOSED, (), [at(BALL), at(shapes.Box((0.1, -0.1, -0.1), (0.9, 0.1, 0.1)), 1.0, "f")]),
         ("neumann", (), [at(BALL), Electrode("f", shapes.Sphere((0.7, 0, 0), 0.2), charge=0)]),
+        (CLOSED, (), [Electrode("e", shapes.Sphere((0, 0, 0), 0.1875), charge=1e-12)]),
     ]
     for boundary, levels, electrodes in taken:
         domain = mesh(comm, boundary, levels)

@@ -120,30 +120,26 @@ def scene(folder: Path, cells: int, step: float, particles: int, levels: int) ->
     )
 
 
-def figures(rows: np.ndarray, place: str, names: dict[str, str]) -> dict[str, float]:
-    """Values at the end of columns of a table, by what they are called here."""
-    return {name: float(np.interp(END, rows[place], rows[column])) for name, column in names.items()}
-
-
-def opal_figures(opal: Path) -> dict[str, float]:
-    """What OPAL found: emittance and size in both planes, and length in m, energy in MeV."""
+def opal_figures(opal: Path) -> tuple[float, dict[str, float]]:
+    """When OPAL's bunch is at the end, s after the first birth, and its sizes, length and emittances in m, energy in MeV."""
     lines = (opal / "reference" / "AWAGun-1.stat").read_text().splitlines()
     names = [line.split("=")[1].rstrip(",") for line in lines if line.strip().startswith("name=")][3:]
     values = np.array([line.split() for line in lines if len(line.split()) == len(names)], dtype=float)
     rows = dict(zip(names, values.T, strict=True))
     columns = {"rms x": "rms_x", "rms y": "rms_y", "rms z": "rms_s", "emittance x": "emit_x", "emittance y": "emit_y"}
-    return figures(rows, "s", {**columns, "energy": "energy"})  # type: ignore[arg-type]
+    found = {k: float(np.interp(END, rows["s"], rows[column])) for k, column in {**columns, "energy": "energy"}.items()}
+    return 1e-9 * float(np.interp(END, rows["s"], rows["t"])) + CUT * RISE + FLAT / 2, found
 
 
-def our_figures(folder: Path) -> dict[str, float]:
-    """The same of a run."""
+def our_figures(folder: Path, time: float) -> dict[str, float]:
+    """The same of a run, at the same time: `s` in its table is that of the reference particle, at the head of the bunch."""
     rows = np.genfromtxt(folder / "beam.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
     rows = rows[(rows["group"] == "cathode") & (rows["particles"] > 0)]
     columns = {f"rms {axis}": f"rms_{axis}" for axis in "xyz"} | {
         f"emittance {axis}": f"emittance_{axis}" for axis in "xy"
     }
-    found = figures(rows, "s", {**columns, "energy": "mean_energy"})
-    return {**found, "energy": 1e-6 * found["energy"] / ELEMENTARY_CHARGE}
+    found = {k: float(np.interp(time, rows["time"], rows[column])) for k, column in columns.items()}
+    return {**found, "energy": 1e-6 * float(np.interp(time, rows["time"], rows["mean_energy"])) / ELEMENTARY_CHARGE}
 
 
 def main() -> None:
@@ -162,8 +158,9 @@ def main() -> None:
     comm.Barrier()
     amrpic.Simulation(comm, scene(chosen.folder, chosen.cells, chosen.step, chosen.particles, chosen.levels)).run()
     if comm.rank == 0:
-        ours = our_figures(chosen.folder)
-        for name, theirs in opal_figures(chosen.opal).items():
+        time, opal = opal_figures(chosen.opal)
+        ours = our_figures(chosen.folder, time)
+        for name, theirs in opal.items():
             factor, unit = (1, "MeV") if name == "energy" else (1e6, "µm") if "emittance" in name else (1e3, "mm")
             print(f"{name}: {factor * ours[name]:.4f} {unit}, OPAL {factor * theirs:.4f}")
 

@@ -343,7 +343,7 @@ def test_births_in_a_window_are_those_of_the_laboratory():
         ),
         ({"spot": {"shape": "disc", "radius": -1}}, "radius"),
         ({"spot": {"shape": "gaussian", "sigma": [1e-3, 0]}}, "sigma"),
-        ({"spot": {"shape": "gaussian", "sigma": 1e-3}}, r"sigma \(0.001\) is no list; write sigma = \[…, …\]"),
+        ({"spot": {"shape": "gaussian", "sigma": 1e-3}}, "sigma (0.001) is no list; write sigma = […, …]"),
         ({"process": "photo", "momenta": None}, "mean_transverse_energy"),
         (
             {"process": "photo", "momenta": None, "mean_transverse_energy": "1 eV", "laser_energy": 1},

@@ -1,7 +1,7 @@
 #include "bind/bind.hpp"
 #include "bind/convert.hpp"
-#include "geometry/cells_in_metal.hpp"
 #include "geometry/triangles.hpp"
+#include "mesh/cells_in_metal.hpp"
 
 namespace nb = nanobind;
 using namespace amrpic;

@@ -1,4 +1,4 @@
-#include "geometry/cells_in_metal.hpp"
+#include "mesh/cells_in_metal.hpp"
 
 namespace amrpic {
 

@@ -20,7 +20,7 @@ PROCESS = 150 * MIB  # interpreter, NumPy, SciPy, pydantic, HDF5, Open MPI and T
 MESSAGES = 20 * MIB  # buffers of a process that has others to talk to
 QUIET = 44 * MIB  # SciPy's quasi-random numbers in a process
 DRAWING, RASTER = 55 * MIB, 4 * MIB  # matplotlib on rank 0, and a picture on each rank
-TRACING, OUTLINES = 30 * MIB, 30 * MIB  # electrodes: their surfaces on each rank, and in pictures
+TRACING, OUTLINES = 20 * MIB, 30 * MIB  # electrodes: their surfaces on each rank, and in pictures
 SOLVER = {"matrix-free": 12, "kokkos": 12, "crs": 340}  # of a cell: operators and vectors of all multigrid levels
 # Of a cell beside metal, on all levels of the cycle, and while a solver is set up.
 CUT_CELL = {"matrix-free": 400, "kokkos": 700, "crs": 1200}

@@ -153,7 +153,7 @@ def _lattice_through(extent: Floats, lattice: Lattice) -> Lattice:
 def image_refusal(
     electrodes: Sequence[Conductor], lattice: Lattice, boxes: np.ndarray, cells: Sequence[int], periodic: Sequence[bool]
 ) -> str | None:
-    """Return why electrodes at periodic faces are refused, and what to do: metal has to go on alike through them.
+    """Return why electrodes at periodic faces are refused, and what to do: metal must continue in the same way behind them.
 
     `boxes` (n, 6) are those of a level, `cells` the number that it would have along each axis of the domain.
     """

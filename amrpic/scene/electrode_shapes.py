@@ -69,7 +69,7 @@ class Turn(Section):
 class Body(Section):
     """A body; turned first, and then moved."""
 
-    shape: ClassVar[Maker]  # makes the body of its keys, for one that is told by them alone
+    shape: ClassVar[Maker]  # makes the solid from the values of the keys, where these are its arguments
 
     turned: Turn | None = Field(default=None, description="How it is turned.")
     moved: Length3 = Field(default=(0.0, 0.0, 0.0), description="By how much it is moved, m.")

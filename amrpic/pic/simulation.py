@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Self
 
@@ -221,8 +222,9 @@ class Simulation(Run[State]):
 
     @property
     def report(self) -> SolveReport:
-        """How the latest solve went."""
-        return self.state.report
+        """How the latest solve went, with charges and voltages of electrodes in all fields together."""
+        solution = self.state.solution
+        return replace(solution.report, charges=solution.charges, voltages=solution.voltages)
 
     @property
     def lost(self) -> Record:

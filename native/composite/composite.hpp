@@ -82,8 +82,10 @@ class CompositeLaplacian {
       Real* plane = phi.level(l).data() + mesh_.offset(l, b);
       for (int k = 0; k < mesh_.box(l, b).extent(2); ++k, plane += mesh_.box(l, b).stride(2))
         mesh_.for_each_in_metal(
-            l, b, k, [](CompositeMesh::CutHere const&) {},
-            [&](std::ptrdiff_t at, int electrode) { plane[at] = potentials[std::size_t(electrode)]; });
+            l, b, k, Covered::visit, [](CompositeMesh::CutHere const&) {},
+            [&](std::ptrdiff_t at, int n, int electrode) {
+              std::fill_n(plane + at, n, potentials[std::size_t(electrode)]);
+            });
     });
     average_down(phi);
   }
@@ -95,10 +97,10 @@ class CompositeLaplacian {
       Real const* plane = rho.level(l).data() + mesh_.offset(l, b);
       for (int k = 0; k < own.extent(2); ++k, plane += own.stride(2))
         mesh_.for_each_in_metal(
-            l, b, k, [](CompositeMesh::CutHere const&) {},
-            [&](std::ptrdiff_t at, int electrode) {
-              if (!mesh_.is_covered(l, b, own.cell_at(at + k * own.stride(2))))
-                f(electrode, mesh_.volume(l) * plane[at]);
+            l, b, k, Covered::skip, [](CompositeMesh::CutHere const&) {},
+            [&](std::ptrdiff_t at, int n, int electrode) {
+              for (Real const* density = plane + at; density != plane + at + n; ++density)
+                f(electrode, mesh_.volume(l) * *density);
             });
     });
   }
@@ -110,15 +112,12 @@ class CompositeLaplacian {
       Box const& own = mesh_.box(l, b);
       for (int k = 0; k < own.extent(2); ++k)
         mesh_.for_each_in_metal(
-            l, b, k,
+            l, b, k, Covered::skip,
             [&](CompositeMesh::CutHere const& here) {
-              if (mesh_.is_covered(l, b, here.cell.cell)) return;
               for (std::size_t n = 0; n < 6; ++n)
                 if (here.cell.is_cut(n)) f(here.cell.electrode[n], here.row.surface(n) / here.row.diagonal);
             },
-            [&](std::ptrdiff_t at, int electrode) {
-              if (!mesh_.is_covered(l, b, own.cell_at(at + k * own.stride(2)))) f(electrode, 0);
-            });
+            [&](std::ptrdiff_t, int, int electrode) { f(electrode, 0); });
       for (SharedFace const& face : mesh_.shared_faces(l))
         if (own.contains(face.cell) && !mesh_.is_covered(l, b, face.cell)) f(face.electrode, 0);
     });

@@ -258,17 +258,18 @@ ElectricField CompositeField::beside_metal(Field const& phi, std::vector<Walls> 
       for (std::size_t d = 0; d < 3; ++d) at[d] = e[d]->level(l).data() + mesh_.offset(l, b) + k * plane;
       field_plane(l, b, k, Where::everywhere, phi, at);
       mesh_.for_each_in_metal(
-          l, b, k,
+          l, b, k, Covered::visit,
           [&](CompositeMesh::CutHere const& here) {
-            auto const& [cut, row, place, inside, electrode] = here;
+            CutRow const& row = here.row;
+            Real const* const cell = phi.level(l).data() + mesh_.offset(l, b) + k * plane + here.place;
             for (std::size_t d = 0; d < 3; ++d) {
               if (row.surface(2 * d) == 0 && row.surface(2 * d + 1) == 0) continue;
-              auto const line = ghosts_.line_through(l, b, cut, row, int(d), phi, walls, potentials);
-              at[d][place] = -2 * mesh_.factor_of_field(l, int(d)) * line.slope();
+              auto const line = ghosts_.line_through(l, b, here, int(d), cell, walls, potentials);
+              at[d][here.place] = -2 * mesh_.factor_of_field(l, int(d)) * line.slope();
             }
           },
-          [&](std::ptrdiff_t place, int) {
-            for (Real* component : at) component[place] = 0;
+          [&](std::ptrdiff_t place, int n, int) {
+            for (Real* component : at) std::fill_n(component + place, n, 0.0);
           });
     }
   });

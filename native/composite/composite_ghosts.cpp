@@ -4,6 +4,16 @@
 
 namespace amrpic {
 
+namespace {
+
+/// Where a cell lies on the faces of a box across an axis, the lower tangential axis fastest.
+std::ptrdiff_t place_on_face(Box const& box, Index3 const& cell, int axis) {
+  auto const [u, v] = tangential_axes(axis);
+  return (cell[u] - box.lower[u]) + std::ptrdiff_t(box.extent(u)) * (cell[v] - box.lower[v]);
+}
+
+}  // namespace
+
 CompositeGhosts::CompositeGhosts(CompositeMesh& mesh) : mesh_(mesh), fluxes_(mesh) {
   for (int f = 0; f < 6; ++f) ghosts_[std::size_t(f)].resize(mesh_.largest_face(f / 2));
   std::size_t const row = mesh_.largest_row();
@@ -187,16 +197,10 @@ std::size_t CompositeGhosts::bytes() const {
   return values * sizeof(Real) + fluxes_.bytes() + coarse_gap_values_.bytes() + gap_values_.bytes();
 }
 
-/// The value of phi beyond a side of a cell of the box under way.
-Real CompositeGhosts::value_beyond(int l, int b, Index3 const& cell, int side, Real const* cells) const {
-  Box const& own = mesh_.box(l, b);
-  if (auto const difference = difference_beyond(l, b, cell, side)) return cells[own.offset(cell)] + *difference;
-  int const axis = side / 2, outward = side % 2 == 0 ? -1 : 1;
-  Index3 at = cell;
-  at[axis] += outward;
-  if (own.contains(at)) return cells[own.offset(at)];
-  auto const [u, v] = tangential_axes(axis);
-  return ghosts(axis, side % 2)[(at[u] - own.lower[u]) + std::ptrdiff_t(own.extent(u)) * (at[v] - own.lower[v])];
+/// The value of phi beyond a side of a cell of the box under way, before finer cells or in a ghost.
+Real CompositeGhosts::value_outside(int l, int b, Index3 const& cell, int side, Real phi) const {
+  if (auto const difference = difference_beyond(l, b, cell, side)) return phi + *difference;
+  return ghosts(side / 2, side % 2)[place_on_face(mesh_.box(l, b), cell, side / 2)];
 }
 
 /// The difference of phi across a side by the finer fluxes; none where no finer cells lie beyond.
@@ -211,25 +215,23 @@ std::optional<Real> CompositeGhosts::difference_beyond(int l, int b, Index3 cons
 
 /// The datum of the wall beyond a side of a cell, which lies at one.
 Real CompositeGhosts::wall_datum(int l, int b, Index3 const& cell, int side, std::vector<Walls> const& walls) const {
-  Box const& own = mesh_.box(l, b);
-  auto const [u, v] = tangential_axes(side / 2);
-  std::ptrdiff_t const place = (cell[u] - own.lower[u]) + std::ptrdiff_t(own.extent(u)) * (cell[v] - own.lower[v]);
+  std::ptrdiff_t const place = place_on_face(mesh_.box(l, b), cell, side / 2);
   return walls[std::size_t(l)].datum[std::size_t(mesh_.plan(l, b).faces[side].wall + place)];
 }
 
-ArmValues CompositeGhosts::line_through(int l, int b, CutCell const& cut, CutRow const& row, int axis, Field const& phi,
+ArmValues CompositeGhosts::line_through(int l, int b, CompositeMesh::CutHere const& here, int axis, Real const* phi,
                                         std::vector<Walls> const& walls, std::vector<Real> const& potentials) const {
-  Real const* const cells = phi.level(l).data() + mesh_.offset(l, b);
+  CutCell const& cut = here.cell;
   std::array<Real, 2> arm{1, 1}, value;
-  for (int s = 0; s < 2; ++s) {
-    int const side = 2 * axis + s;
-    bool const is_surface = row.surface(std::size_t(side)) != 0, is_cut = is_surface && cut.is_cut(std::size_t(side));
-    if (is_surface) arm[std::size_t(s)] = is_cut ? cut.arm[std::size_t(side)] : wall_arm;
-    value[std::size_t(s)] = is_cut       ? potentials[std::size_t(cut.electrode[std::size_t(side)])]
-                            : is_surface ? wall_datum(l, b, cut.cell, side, walls)
-                                         : value_beyond(l, b, cut.cell, side, cells);
+  for (std::size_t s = 0; s < 2; ++s) {
+    std::size_t const side = 2 * std::size_t(axis) + s;
+    bool const is_surface = here.row.surface(side) != 0, is_cut = is_surface && cut.is_cut(side);
+    if (is_surface) arm[s] = is_cut ? cut.arm[side] : wall_arm;
+    value[s] = is_cut       ? potentials[std::size_t(cut.electrode[side])]
+               : is_surface ? wall_datum(l, b, cut.cell, int(side), walls)
+                            : value_beyond(l, b, here, int(side), phi);
   }
-  return {{arm[0], arm[1]}, value[0], value[1], cells[mesh_.box(l, b).offset(cut.cell)]};
+  return {{arm[0], arm[1]}, value[0], value[1], *phi};
 }
 
 }  // namespace amrpic

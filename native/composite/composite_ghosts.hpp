@@ -52,17 +52,22 @@ class CompositeGhosts {
     });
   }
 
-  // Of a cell of the box under way: what lies beyond a side, before finer cells the value that gives their flux; the
-  // difference that this makes; the datum of a wall there; and the values along an axis through a cut cell.
-  Real value_beyond(int l, int b, Index3 const& cell, int side, Real const* cells) const;
+  // Of a cell of the box under way, whose value is at `phi`: what lies beyond a side, before finer cells the value that
+  // gives their flux; the difference that this makes; the datum of a wall there; and the values along an axis.
+  Real value_beyond(int l, int b, CompositeMesh::CutHere const& here, int side, Real const* phi) const {
+    std::ptrdiff_t const step = mesh_.box(l, b).stride(side / 2);
+    return here.is_inside(std::size_t(side)) ? phi[side % 2 == 0 ? -step : step]
+                                             : value_outside(l, b, here.cell.cell, side, *phi);
+  }
   std::optional<Real> difference_beyond(int l, int b, Index3 const& cell, int side) const;
   Real wall_datum(int l, int b, Index3 const& cell, int side, std::vector<Walls> const& walls) const;
-  ArmValues line_through(int l, int b, CutCell const& cut, CutRow const& row, int axis, Field const& phi,
+  ArmValues line_through(int l, int b, CompositeMesh::CutHere const& here, int axis, Real const* phi,
                          std::vector<Walls> const& walls, std::vector<Real> const& potentials) const;
 
   std::size_t bytes() const;
 
  private:
+  Real value_outside(int l, int b, Index3 const& cell, int side, Real phi) const;
   void fill(int l, int b, Field const& phi, Walls const& walls, std::vector<Real> const& potentials);
   void fill_wall(int l, int b, int axis, int side, Real const* phi, Real const* data);
   void fill_interface(int l, int b, int axis, int side, Field const& phi);

@@ -113,32 +113,51 @@ void CompositeMesh::add_refined_sides(int l) {
 
 void CompositeMesh::place_metal(int l) {
   OfLevel& of = metal_[std::size_t(l)];
-  MetalCells const& cells = metal(l);
+  std::vector<char> covered;  // of a plane
+  auto const end = [&] { return std::array{std::int32_t(of.cuts.size()), std::int32_t(of.solids.size())}; };
   for (int b = 0; b < boxes(l); ++b) {
-    Box const& own = box(l, b);
     of.first_plane.push_back(std::int32_t(of.planes.size()));
-    for (int k = 0; k < own.extent(2); ++k) {
-      of.planes.push_back({std::int32_t(of.cuts.size()), std::int32_t(of.solids.size())});
-      for (int j = 0; j < own.extent(1); ++j) {
-        Index3 const first{own.lower[0], own.lower[1] + j, own.lower[2] + k};
-        auto const place = [&](Index3 const& cell) { return cell[0] - first[0] + j * own.extent(0); };
-        cells.for_each_cut(first, own.extent(0), [&](CutCell const& cut) {
-          Placed out{place(cut.cell), std::int32_t(&cut - cells.cut().data())};
-          out.electrode = only_electrode(cut, of.rows[std::size_t(out.number)]);
-          for (int side = 0; side < 6; ++side) {
-            Index3 next = cut.cell;
-            next[side / 2] += side % 2 == 0 ? -1 : 1;
-            if (own.contains(next) && !finer_beyond(l, cut.cell, side)) out.inside |= std::uint8_t(1 << side);
-          }
-          of.cuts.push_back(out);
-        });
-        cells.for_each_solid(first, own.extent(0), [&](SolidCell const& solid) {
-          of.solids.push_back({place(solid.cell), solid.electrode});
-        });
-      }
+    for (int k = 0; k < box(l, b).extent(2); ++k) {
+      covered.assign(std::size_t(box(l, b).stride(2)), 0);
+      for_each_covered_row(l, b, k, [&](std::ptrdiff_t at, int n) { std::fill_n(&covered[std::size_t(at)], n, 1); });
+      auto const first = end();
+      place_metal(l, b, k, covered, 0);
+      auto const between = end();
+      if (!plan(l, b).covered.empty()) place_metal(l, b, k, covered, 1);
+      of.planes.push_back({first[0], between[0], first[1], between[1]});
     }
   }
-  of.planes.push_back({std::int32_t(of.cuts.size()), std::int32_t(of.solids.size())});
+  of.planes.push_back({end()[0], end()[0], end()[1], end()[1]});
+}
+
+/// Those cells in plane k of a box that are covered or not.
+void CompositeMesh::place_metal(int l, int b, int k, std::vector<char> const& covered, char which) {
+  OfLevel& of = metal_[std::size_t(l)];
+  MetalCells const& cells = metal(l);
+  Box const& own = box(l, b);
+  std::size_t const first_run = of.solids.size();
+  for (int j = 0; j < own.extent(1); ++j) {
+    Index3 const first{own.lower[0], own.lower[1] + j, own.lower[2] + k};
+    auto const place = [&](Index3 const& cell) { return cell[0] - first[0] + j * own.extent(0); };
+    cells.for_each_cut(first, own.extent(0), [&](CutCell const& cut) {
+      CutInPlane out{place(cut.cell), std::int32_t(&cut - cells.cut().data())};
+      if (covered[std::size_t(out.place)] != which) return;
+      out.electrode = only_electrode(cut, of.rows[std::size_t(out.number)]);
+      for (int side = 0; side < 6; ++side) {
+        Index3 next = cut.cell;
+        next[side / 2] += side % 2 == 0 ? -1 : 1;
+        if (own.contains(next) && !finer_beyond(l, cut.cell, side)) out.inside |= std::uint8_t(1 << side);
+      }
+      of.cuts.push_back(out);
+    });
+    cells.for_each_solid(first, own.extent(0), [&](SolidCell const& solid) {
+      std::int32_t const at = place(solid.cell);
+      if (covered[std::size_t(at)] != which) return;
+      bool const goes_on = of.solids.size() > first_run && of.solids.back().electrode == solid.electrode &&
+                           of.solids.back().place + of.solids.back().count == at;
+      goes_on ? void(++of.solids.back().count) : of.solids.push_back({at, 1, solid.electrode});
+    });
+  }
 }
 
 bool CompositeMesh::has_metal(int l, int b) const {

@@ -32,6 +32,7 @@ template <class T>
 using Blocks = std::vector<std::vector<Block<T>>>;
 
 enum class FullyCovered { visit, skip };  ///< boxes without uncovered cells
+enum class Covered { visit, skip };       ///< cells that finer ones cover
 
 /// The cells of all levels, as what is done to them box by box sees them: the boxes of this rank, counted on each level
 /// from its first one, and the lists of the plan.
@@ -78,21 +79,26 @@ class CompositeMesh {
     std::uint8_t inside;
     int electrode;  ///< of all surfaces in its equation; -1 if there are several, or walls among them
     bool is_inside(std::size_t side) const { return inside >> side & 1; }
+    bool is_inside() const { return inside == 63; }
   };
   bool has_metal(int l, int b) const;  ///< in a box, or beside its cells
-  /// Call f(cut cell here) for those in plane k of a box, and solid(place, electrode) for cells in metal.
+  /// Call f(cut cell here) for those in plane k of a box, and solid(place, count, electrode) for runs of cells in
+  /// metal.
   template <class F, class Solid>
-  void for_each_in_metal(int l, int b, int k, F&& f, Solid&& solid) const {
+  void for_each_in_metal(int l, int b, int k, Covered covered, F&& f, Solid&& solid) const {
     OfLevel const& of = metal_[std::size_t(l)];
     if (of.cells.cells.empty()) return;
     Plane const &plane = of.planes[std::size_t(of.first_plane[std::size_t(b)] + k)], &next = (&plane)[1];
-    for (int n = plane.first_cut; n < next.first_cut; ++n) {
-      Placed const& at = of.cuts[std::size_t(n)];
+    bool const all = covered == Covered::visit;
+    for (int n = plane.first_cut, end = all ? next.first_cut : plane.covered_cut; n < end; ++n) {
+      CutInPlane const& at = of.cuts[std::size_t(n)];
       f(CutHere{of.cells.cells.cut()[std::size_t(at.number)], of.rows[std::size_t(at.number)], at.place, at.inside,
                 at.electrode});
     }
-    for (int n = plane.first_solid; n < next.first_solid; ++n)
-      solid(std::ptrdiff_t(of.solids[std::size_t(n)].place), of.solids[std::size_t(n)].number);
+    for (int n = plane.first_solid, end = all ? next.first_solid : plane.covered_solid; n < end; ++n) {
+      SolidInPlane const& run = of.solids[std::size_t(n)];
+      solid(std::ptrdiff_t(run.place), int(run.count), int(run.electrode));
+    }
   }
   Equation equation(int l) const { return equation_on(level(l).spacing(), shift_); }
   bool is_nearly_free(int l) const {
@@ -179,6 +185,7 @@ class CompositeMesh {
   void add_metal_faces(int l);
   void add_refined_sides(int l);
   void place_metal(int l);
+  void place_metal(int l, int b, int k, std::vector<char> const& covered, char which);
   /// Not inlined, so that the loop's pointers and factor stay in registers.
   template <class T>
   [[gnu::noinline]] static void write_rows(Real const* __restrict from, int nx, int rows, Real scale, T* __restrict to,
@@ -196,20 +203,24 @@ class CompositeMesh {
   CompositePlan plan_;
   Transfer transfer_;
   Metal const* conductors_;
-  struct Placed {
-    std::int32_t place, number;  ///< in the plane; of the cut cell, or of the electrode
+  struct CutInPlane {
+    std::int32_t place, number;  ///< in the plane; of the cut cell
     // see CutHere
     std::uint8_t inside = 0;
     std::int32_t electrode = -1;
   };
-  struct Plane {
-    std::int32_t first_cut, first_solid;
+  struct SolidInPlane {
+    std::int32_t place, count, electrode;
+  };
+  struct Plane {  ///< uncovered cells come first
+    std::int32_t first_cut, covered_cut, first_solid, covered_solid;
   };
   struct OfLevel {
     MetalOfLevel cells;
     std::vector<std::int32_t> first_plane;  ///< of each box
     std::vector<Plane> planes;              ///< box after box, and the end
-    std::vector<Placed> cuts, solids;
+    std::vector<CutInPlane> cuts;
+    std::vector<SolidInPlane> solids;
     std::vector<CutRow> rows;                                     ///< of cut cells
     std::vector<std::vector<MetalFace>> faces;                    ///< of each interface
     std::map<std::pair<GlobalIndex, int>, std::int32_t> refined;  ///< of a cell's number in the domain, and its side

@@ -82,39 +82,37 @@ void SecondOrderResidual::residual_beside_metal(int l, int b, int k, Source cons
   std::ptrdiff_t const pitch = mesh_.box(l, b).stride(1);
   std::array<std::ptrdiff_t, 6> const step{-1, 1, -pitch, pitch, -plane, plane};
   mesh_.for_each_in_metal(
-      l, b, k,
+      l, b, k, Covered::skip,
       [&](CompositeMesh::CutHere const& here) {
         CutRow const& row = here.row;
         std::ptrdiff_t const at = here.place;
-        bool const is_one = here.electrode >= 0;
-        Real const potential = is_one ? source.potentials[std::size_t(here.electrode)] : 0;
-        Real sum = -row.diagonal * c[at], surfaces = 0;
-        for (std::size_t side = 0; side < 6; ++side)
-          if (row.has_surface(side))
-            surfaces += row.factor[side] * potential;
-          else
-            sum += row.factor[side] * (here.is_inside(side)
-                                           ? c[at + step[side]]
-                                           : ghosts_.value_beyond(l, b, here.cell.cell, int(side), cells));
-        if (!is_one) surfaces = of_surfaces(l, b, here.cell, row, source);
-        plane_[std::size_t(at)] = row.scale * source.background.right_hand_side(rho[at]) - sum - surfaces;
+        Real sum = -row.diagonal * c[at];
+        if (here.is_inside())
+          for (std::size_t side = 0; side < 6; ++side) sum += row.neighbour(side) * c[at + step[side]];
+        else
+          for (std::size_t side = 0; side < 6; ++side)
+            if (!row.has_surface(side)) sum += row.factor[side] * ghosts_.value_beyond(l, b, here, int(side), c + at);
+        plane_[std::size_t(at)] =
+            row.scale * source.background.right_hand_side(rho[at]) - sum - of_surfaces(l, b, here, source);
       },
-      [&](std::ptrdiff_t at, int) { plane_[std::size_t(at)] = 0; });
+      [&](std::ptrdiff_t at, int n, int) { std::fill_n(&plane_[std::size_t(at)], n, 0.0); });
 }
 
 void SecondOrderResidual::right_hand_side_beside_metal(int l, int b, int k, Source const& source) {
   Real const* const rho = source.rho.level(l).data() + mesh_.offset(l, b) + k * mesh_.box(l, b).stride(2);
   mesh_.for_each_in_metal(
-      l, b, k,
+      l, b, k, Covered::skip,
       [&](CompositeMesh::CutHere const& here) {
-        plane_[std::size_t(here.place)] = here.row.scale * source.background.right_hand_side(rho[here.place]) -
-                                          of_data(l, b, here.cell, here.row, source);
+        plane_[std::size_t(here.place)] =
+            here.row.scale * source.background.right_hand_side(rho[here.place]) - of_data(l, b, here, source);
       },
-      [&](std::ptrdiff_t at, int) { plane_[std::size_t(at)] = 0; });
+      [&](std::ptrdiff_t at, int n, int) { std::fill_n(&plane_[std::size_t(at)], n, 0.0); });
 }
 
 /// What the potentials of the surfaces beside a cut cell add to its Laplacian.
-Real SecondOrderResidual::of_surfaces(int l, int b, CutCell const& cut, CutRow const& row, Source const& source) const {
+Real SecondOrderResidual::of_several_surfaces(int l, int b, CompositeMesh::CutHere const& here,
+                                              Source const& source) const {
+  auto const& [cut, row, place, inside, electrode] = here;
   Real out = 0;
   for (std::size_t side = 0; side < 6; ++side)
     if (row.surface(side) != 0)
@@ -124,8 +122,10 @@ Real SecondOrderResidual::of_surfaces(int l, int b, CutCell const& cut, CutRow c
 }
 
 /// The same, and what walls add whose ghosts take part in it.
-Real SecondOrderResidual::of_data(int l, int b, CutCell const& cut, CutRow const& row, Source const& source) const {
-  Real out = of_surfaces(l, b, cut, row, source);
+Real SecondOrderResidual::of_data(int l, int b, CompositeMesh::CutHere const& here, Source const& source) const {
+  Real out = of_surfaces(l, b, here, source);
+  if (here.is_inside()) return out;
+  auto const& [cut, row, place, inside, electrode] = here;
   Box const& own = mesh_.box(l, b);
   for (std::size_t side = 0; side < 6; ++side) {
     int const axis = int(side) / 2;
@@ -168,25 +168,24 @@ void SecondOrderResidual::term_sizes_plane(int l, int b, int k, Source const& so
   mesh_.clear_covered(l, b, k, plane_.data());
 }
 
-/// Of phi across the sides of a cut cell, each outwards.
-std::array<Real, 6> SecondOrderResidual::differences(int l, int b, CutCell const& cut, CutRow const& row,
-                                                     Source const& source, Field const& phi) const {
-  std::array<Real, 6> out;
-  Real const* const cells = phi.level(l).data() + mesh_.offset(l, b);
-  Equation const equation = mesh_.equation(l);
+/// Of phi across the cut sides of a cell, each outwards; `rho`: of the cell, whose potential is at `phi`.
+std::array<Real, 6> SecondOrderResidual::differences(int l, int b, CompositeMesh::CutHere const& here, Real rho,
+                                                     Real const* phi, Source const& source) const {
+  CutCell const& cut = here.cell;
   std::size_t shortest = 0;
-  for (std::size_t side = 0; side < 6; ++side) {
-    auto const line = [&] {
-      return ghosts_.line_through(l, b, cut, row, int(side) / 2, phi, source.walls, source.potentials);
-    };
-    out[side] = row.surface(side) != 0
-                    ? line().across(int(side) % 2)
-                    : ghosts_.value_beyond(l, b, cut.cell, int(side), cells) - cells[mesh_.box(l, b).offset(cut.cell)];
+  for (std::size_t side = 0; side < 6; ++side)
     if (cut.is_cut(side) && !(cut.is_cut(shortest) && cut.arm[shortest] <= cut.arm[side])) shortest = side;
-  }
-  if (!cut.is_cut(shortest) || cut.arm[shortest] > short_arm) return out;
-  std::size_t const place = std::size_t(mesh_.offset(l, b) + mesh_.box(l, b).offset(cut.cell));
-  Real left = source.background.right_hand_side(source.rho.level(l)[place]) + equation.shift * phi.level(l)[place];
+  bool const is_short = cut.arm[shortest] <= short_arm;
+  std::array<Real, 6> out{};
+  for (std::size_t side = 0; side < 6; ++side)
+    if (here.row.surface(side) != 0)
+      out[side] =
+          ghosts_.line_through(l, b, here, int(side) / 2, phi, source.walls, source.potentials).across(int(side) % 2);
+    else if (is_short)
+      out[side] = ghosts_.value_beyond(l, b, here, int(side), phi) - *phi;
+  if (!is_short) return out;
+  Equation const equation = mesh_.equation(l);
+  Real left = source.background.right_hand_side(rho) + equation.shift * *phi;
   for (std::size_t side = 0; side < 6; ++side)
     if (side != shortest) left -= equation.weight[int(side) / 2] * out[side];
   out[shortest] = left / equation.weight[int(shortest) / 2];
@@ -197,18 +196,19 @@ void SecondOrderResidual::for_each_charge(Source const& source, Field const& phi
   visit(phi, source.walls, source.potentials, [&](int l, int b) {
     Box const& own = mesh_.box(l, b);
     Equation const equation = mesh_.equation(l);
-    auto const act = [&](CutCell const& cut, CutRow const& row) {
-      if (!cut.is_cut() || mesh_.is_covered(l, b, cut.cell)) return;
-      std::size_t const place = std::size_t(mesh_.offset(l, b) + own.offset(cut.cell));
-      auto const across = differences(l, b, cut, row, source, phi);
-      for (std::size_t n = 0; n < 6; ++n)
-        if (cut.is_cut(n) && row.surface(n) != 0)
-          f(l, place, cut.electrode[n],
-            vacuum_permittivity * mesh_.volume(l) * equation.weight[int(n) / 2] * across[n]);
-    };
     for (int k = 0; k < own.extent(2); ++k)
       mesh_.for_each_in_metal(
-          l, b, k, [&](CompositeMesh::CutHere const& here) { act(here.cell, here.row); }, [](std::ptrdiff_t, int) {});
+          l, b, k, Covered::skip,
+          [&](CompositeMesh::CutHere const& here) {
+            if (!here.cell.is_cut()) return;
+            std::size_t const place = std::size_t(mesh_.offset(l, b) + k * own.stride(2) + here.place);
+            auto const across = differences(l, b, here, source.rho.level(l)[place], &phi.level(l)[place], source);
+            for (std::size_t n = 0; n < 6; ++n)
+              if (here.cell.is_cut(n) && here.row.surface(n) != 0)
+                f(l, place, here.cell.electrode[n],
+                  vacuum_permittivity * mesh_.volume(l) * equation.weight[int(n) / 2] * across[n]);
+          },
+          [](std::ptrdiff_t, int, int) {});
     for (SharedFace const& face : mesh_.shared_faces(l)) {
       if (!own.contains(face.cell) || mesh_.is_covered(l, b, face.cell)) continue;
       if (auto const difference = ghosts_.difference_beyond(l, b, face.cell, int(face.side)))
@@ -279,11 +279,11 @@ void SecondOrderResidual::diagonal_plane(int l, int b, int k, Field const& phi) 
     }
   }
   mesh_.for_each_in_metal(
-      l, b, k,
+      l, b, k, Covered::skip,
       [&](CompositeMesh::CutHere const& here) {
         plane_[std::size_t(here.place)] = -here.row.diagonal * cells[here.place];
       },
-      [&](std::ptrdiff_t at, int) { plane_[std::size_t(at)] = 0; });
+      [&](std::ptrdiff_t at, int n, int) { std::fill_n(&plane_[std::size_t(at)], n, 0.0); });
   mesh_.clear_covered(l, b, k, plane_.data());
 }
 

@@ -84,8 +84,8 @@ class SecondOrderResidual : public CompositeResidual {
   void term_sizes_plane(int l, int b, int k, Source const& source) override;
   void diagonal_plane(int l, int b, int k, Field const& phi) override;
   void for_each_charge(Source const& source, Field const& phi, OfCharge const& f) override;
-  std::array<Real, 6> differences(int l, int b, CutCell const& cut, CutRow const& row, Source const& source,
-                                  Field const& phi) const;
+  std::array<Real, 6> differences(int l, int b, CompositeMesh::CutHere const& here, Real rho, Real const* phi,
+                                  Source const& source) const;
   void visit(Field const& phi, std::vector<Walls> const& walls, std::vector<Real> const& potentials,
              std::function<void(int, int)> const& f) override {
     ghosts_.visit(phi, walls, potentials, FullyCovered::skip, f);
@@ -94,8 +94,12 @@ class SecondOrderResidual : public CompositeResidual {
   void for_each_wall_term(int l, int b, int k, Source const& source, F&& f) const;
   [[gnu::noinline]] void residual_beside_metal(int l, int b, int k, Source const& source, Real const* cells);
   [[gnu::noinline]] void right_hand_side_beside_metal(int l, int b, int k, Source const& source);
-  Real of_surfaces(int l, int b, CutCell const& cut, CutRow const& row, Source const& source) const;
-  Real of_data(int l, int b, CutCell const& cut, CutRow const& row, Source const& source) const;
+  Real of_surfaces(int l, int b, CompositeMesh::CutHere const& here, Source const& source) const {
+    return here.electrode >= 0 ? here.row.at_surfaces * source.potentials[std::size_t(here.electrode)]
+                               : of_several_surfaces(l, b, here, source);
+  }
+  Real of_several_surfaces(int l, int b, CompositeMesh::CutHere const& here, Source const& source) const;
+  Real of_data(int l, int b, CompositeMesh::CutHere const& here, Source const& source) const;
   template <class F>
   void for_each_own_weight_in_gaps(int l, int b, int face, F&& f) const;
 

@@ -226,6 +226,7 @@ void Coarsening::refresh_gaps() {
 
 void Coarsening::restrict_right_hand_side() {
   Vector& target = clear_target();
+  fine_.clear_right_hand_side_in_metal();
   fine_.then({[&](std::size_t b, int k, RowChoice const&) {
     if (b < sources_.size())
       fine_.sweep().restrict_to<false>(b, k, fine_.right_hand_side(), fine_.correction(), taking(b), weight(), target);

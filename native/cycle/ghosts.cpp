@@ -342,7 +342,7 @@ void Stencil::add_metal_planes(CellBlock const& block, Row const* rows) {
             for (int n = first; n < first + metal.cuts[parity]; ++n) {
               CutPlace const& cut = cuts_[std::size_t(n)];
               if (lies_between && cut.place > 0 && cut.place + 1 < row.cells)
-                inner_cuts_.push_back({row.place + cut.place, cut.weight, cut.step});
+                inner_cuts_.push_back({cut.weight, cut.step}), inner_places_.push_back(row.place + cut.place);
               else
                 outer_cuts_.push_back({std::int32_t(&row - rows_.data()), n});
             }
@@ -385,7 +385,7 @@ std::size_t Stencil::bytes() const {
   return pool_.size() * sizeof(float) + rows_.size() * sizeof(Row) + runs_.size() * sizeof(ScaledRun) +
          first_run_.size() * sizeof(std::int32_t) + metal_rows_.size() * sizeof(MetalRow) +
          cuts_.size() * (sizeof(CutPlace) + sizeof(float)) + solids_.size() * sizeof(SolidRun) +
-         metal_planes_.size() * sizeof(MetalPlane) + inner_cuts_.size() * sizeof(InnerCut) +
+         metal_planes_.size() * sizeof(MetalPlane) + inner_cuts_.size() * (sizeof(InnerCut) + sizeof(std::int32_t)) +
          outer_cuts_.size() * sizeof(OuterCut) + solids_in_planes_.size() * sizeof(SolidRun);
 }
 

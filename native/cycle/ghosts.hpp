@@ -43,7 +43,6 @@ inline Real smallest_spacing(Level const& level) {
 
 /// A cut cell with its neighbours beside it in a Vector.
 struct InnerCut {
-  std::int32_t place;  ///< in a Vector
   std::array<float, 6> weight;
   float step;
 };
@@ -96,8 +95,9 @@ class Stencil {
     return metal_planes_[std::size_t(first_plane_[block] + plane)];
   }
   InnerCut const* inner_cuts() const { return inner_cuts_.data(); }
+  std::int32_t const* inner_places() const { return inner_places_.data(); }  ///< of these in a Vector
   OuterCut const* outer_cuts() const { return outer_cuts_.data(); }
-  SolidRun const* solids_in_planes() const { return solids_in_planes_.data(); }
+  std::vector<SolidRun> const& solids_in_planes() const { return solids_in_planes_; }
   std::size_t bytes() const;
 
  private:
@@ -137,6 +137,7 @@ class Stencil {
   std::vector<std::int32_t> first_plane_;  ///< of blocks
   std::vector<MetalPlane> metal_planes_;
   std::vector<InnerCut> inner_cuts_;
+  std::vector<std::int32_t> inner_places_;
   std::vector<OuterCut> outer_cuts_;
   std::vector<SolidRun> solids_in_planes_;
   mutable std::vector<float> cut_values_;

@@ -180,20 +180,6 @@ inline void clear_solid_in(RowTable const& level, Row const& row, int first, int
   clear_solid_in(level, row, first, count, left);
 }
 
-/// Right-hand sides of a row beside metal taken to parents, part by part.
-template <int lanes>
-[[gnu::noinline]] inline void restrict_beside_metal(RowTable const& level, Row const& row, float const* r,
-                                                    Parents const& parents, float weight, bool set, float* to) {
-  alignas(64) float right[chunk + 2 * widest];
-  for (int first = 0; first < row.cells; first += chunk) {
-    int const count = std::min(chunk, row.cells - first);
-    std::copy_n(r + first, count, right);
-    clear_solid_in(level, row, first, count, right);
-    restrict_row<lanes>(right, parents.over_ratio(0, count), parents.ratio[0], weight, set,
-                        to + parents.over_ratio(0, first));
-  }
-}
-
 /// Add `weight` times the sums of residuals in pairs, or of single ones, to parents, or set these, part by part.
 template <int lanes, bool isotropic, bool with_metal>
 inline void restrict_residuals(RowTable const& level, Row const& row, CorrectionRow at, float const* r,
@@ -241,9 +227,7 @@ KOKKOS_INLINE_FUNCTION void restrict_to(Parents const& parents, int y, int z, Ro
             restrict_residuals<lanes(), isotropic(), with_metal>(level, row,
                                                                  level.template correction<lanes()>(row, e, composed),
                                                                  r + row.place, parents, of_row, set, to);
-          else if (with_metal && level.has_metal(row))
-            restrict_beside_metal<lanes()>(level, row, r + row.place, parents, of_row, set, to);
-          else
+          else  // zero in metal
             restrict_row<lanes()>(r + row.place, parents.over_ratio(0, row.cells), parents.ratio[0], of_row, set, to);
         });
       });

@@ -35,13 +35,13 @@ void Sweep::for_each_row(std::size_t block, int k, RowChoice const& rows, F&& f)
     if (rows.contains(j)) f(row[j], j);
 }
 
-void Sweep::relax(std::size_t block, int k, int colour, bool from_zero, RowChoice const& rows, Vector const& r,
-                  Vector& e) const {
+void Sweep::relax(std::size_t block, int k, int colour, bool from_zero, bool is_last, RowChoice const& rows,
+                  Vector const& r, Vector& e) const {
   auto const composed = composer(e.data(), false);
   CellBlock const& of = layout_.blocks()[block];
   bool const by_plane = table_.metal_of && !rows.number;
   MetalPlane const* const plane = by_plane ? &stencil_.metal_plane(block, k - of.box.lower[2]) : nullptr;
-  if (by_plane && !from_zero) find_cut_values(*plane, colour, of.cells, r, e);
+  if (by_plane && !from_zero) keep_cut_values(*plane, colour, r, e);
   with_kind(of.lanes, table_.isotropic, [&](auto lanes, auto isotropic) {
     auto const act = [&](auto with_metal) {
       if (from_zero)
@@ -55,24 +55,18 @@ void Sweep::relax(std::size_t block, int k, int colour, bool from_zero, RowChoic
     };
     table_.metal_of && !by_plane ? act(std::true_type()) : act(std::false_type());
   });
-  if (by_plane && from_zero) find_cut_values_from_zero(*plane, colour, r);
-  if (by_plane) place_metal(*plane, colour, e);
+  if (!by_plane) return;
+  from_zero ? relax_cut_from_zero(*plane, colour, r, e) : relax_cut(*plane, colour, of.cells, r, e);
+  if (is_last) clear_solids(*plane, e);
 }
 
-/// The values of the cut cells of one colour of a plane after a step; they do not see each other.
-void Sweep::find_cut_values(MetalPlane const& plane, int colour, Placement const& cells, Vector const& r,
-                            Vector& e) const {
+/// The values of the cut cells of one colour of a plane before a step of all its cells; of outer ones, beside which a
+/// ring of odd length has cells of their own colour, those after it.
+void Sweep::keep_cut_values(MetalPlane const& plane, int colour, Vector const& r, Vector& e) const {
   auto const [first, last] = plane.inner[std::size_t(colour)];
   inner_.resize(std::size_t(last - first));
-  InnerCut const* const inner = stencil_.inner_cuts() + first;
-  float const *const right = r.data(), keep = table_.keep;
-  std::ptrdiff_t const y = cells.pitch_y, z = cells.pitch_z;
-  for (std::size_t n = 0; n < inner_.size(); ++n) {
-    InnerCut const& cut = inner[n];
-    float const* const at = e.data() + cut.place;
-    float const sum = sum_beside(cut.weight, at[-1], at[1], at[-y], at[y], at[-z], at[z]);
-    inner_[n] = relaxed(keep, at[0], cut.step, sum, right[cut.place]);
-  }
+  std::int32_t const* const places = stencil_.inner_places() + first;
+  for (std::size_t n = 0; n < inner_.size(); ++n) inner_[n] = e[std::size_t(places[n])];
   auto const composed = composer(e.data(), false);
   outer_.clear();
   Row const* latest = nullptr;
@@ -82,37 +76,46 @@ void Sweep::find_cut_values(MetalPlane const& plane, int colour, Placement const
     Row const& row = table_.rows[outer.row];
     CutPlace const& cut = table_.cuts[outer.cut];
     if (&row != latest) at = table_.correction<1>(row, e.data(), composed), latest = &row;
-    outer_.push_back(
-        relaxed(keep, at.here[cut.place], cut.step, table_.sum(row, at, cut), right[row.place + cut.place]));
+    outer_.push_back(relaxed(table_.keep, at.here[cut.place], cut.step, table_.sum(row, at, cut),
+                             r[std::size_t(row.place + cut.place)]));
   }
 }
 
-/// The same where all values are zero.
-void Sweep::find_cut_values_from_zero(MetalPlane const& plane, int colour, Vector const& r) const {
-  auto const [first, last] = plane.inner[std::size_t(colour)];
-  inner_.resize(std::size_t(last - first)), outer_.clear();
-  for (int n = first; n < last; ++n) {
-    InnerCut const& cut = stencil_.inner_cuts()[n];
-    inner_[std::size_t(n - first)] = relaxed_from_zero(cut.step, r[std::size_t(cut.place)]);
-  }
-  for (int n = plane.outer[std::size_t(colour)].first; n < plane.outer[std::size_t(colour)].last; ++n) {
-    OuterCut const& outer = stencil_.outer_cuts()[n];
-    CutPlace const& cut = table_.cuts[outer.cut];
-    outer_.push_back(relaxed_from_zero(cut.step, r[std::size_t(table_.rows[outer.row].place + cut.place)]));
-  }
-}
-
-/// These put in place, and zeros in solid ones.
-void Sweep::place_metal(MetalPlane const& plane, int colour, Vector& e) const {
+/// These relaxed, from the values that were kept.
+void Sweep::relax_cut(MetalPlane const& plane, int colour, Placement const& cells, Vector const& r, Vector& e) const {
   int const first = plane.inner[std::size_t(colour)].first, first_outer = plane.outer[std::size_t(colour)].first;
-  for (std::size_t n = 0; n < inner_.size(); ++n)
-    e[std::size_t(stencil_.inner_cuts()[first + int(n)].place)] = inner_[n];
+  InnerCut const* const inner = stencil_.inner_cuts() + first;
+  std::int32_t const* const places = stencil_.inner_places() + first;
+  float const *const right = r.data(), keep = table_.keep;
+  std::ptrdiff_t const y = cells.pitch_y, z = cells.pitch_z;
+  for (std::size_t n = 0; n < inner_.size(); ++n) {
+    float* const at = e.data() + places[n];
+    float const sum = sum_beside(inner[n].weight, at[-1], at[1], at[-y], at[y], at[-z], at[z]);
+    at[0] = relaxed(keep, inner_[n], inner[n].step, sum, right[places[n]]);
+  }
   for (std::size_t n = 0; n < outer_.size(); ++n) {
     OuterCut const& outer = stencil_.outer_cuts()[first_outer + int(n)];
     e[std::size_t(table_.rows[outer.row].place + table_.cuts[outer.cut].place)] = outer_[n];
   }
+}
+
+/// The same where all values were zero.
+void Sweep::relax_cut_from_zero(MetalPlane const& plane, int colour, Vector const& r, Vector& e) const {
+  for (int n = plane.inner[std::size_t(colour)].first; n < plane.inner[std::size_t(colour)].last; ++n) {
+    std::size_t const place = std::size_t(stencil_.inner_places()[n]);
+    e[place] = relaxed_from_zero(stencil_.inner_cuts()[n].step, r[place]);
+  }
+  for (int n = plane.outer[std::size_t(colour)].first; n < plane.outer[std::size_t(colour)].last; ++n) {
+    OuterCut const& outer = stencil_.outer_cuts()[n];
+    CutPlace const& cut = table_.cuts[outer.cut];
+    std::size_t const place = std::size_t(table_.rows[outer.row].place + cut.place);
+    e[place] = relaxed_from_zero(cut.step, r[place]);
+  }
+}
+
+void Sweep::clear_solids(MetalPlane const& plane, Vector& e) const {
   for (int n = plane.solids.first; n < plane.solids.last; ++n) {
-    SolidRun const& run = stencil_.solids_in_planes()[n];
+    SolidRun const& run = stencil_.solids_in_planes()[std::size_t(n)];
     std::fill_n(&e[std::size_t(run.place)], run.count, 0.0f);
   }
 }
@@ -142,10 +145,11 @@ void Sweep::prolong(std::size_t block, int k, RowChoice const& rows, Parents con
     for_each_row(block, k, rows, [&](Row const& row, int j) {
       cycle::prolong<lanes()>(parents, j, k - b.box.lower[2], row, coarse.data(), set, r.data(), e.data(), Thread{});
     });
-    if (table_.metal_of)
+    if (table_.metal_of && rows.number)
       for_each_row(block, k, rows,
                    [&](Row const& row, int) { clear_solid(table_, row, e.data() + row.place, Thread{}); });
   });
+  if (table_.metal_of && !rows.number) clear_solids(stencil_.metal_plane(block, k - b.box.lower[2]), e);
 }
 
 }  // namespace amrpic::cycle

@@ -28,8 +28,9 @@ class Sweep {
  public:
   Sweep(Layout const& layout, Stencil const& stencil);
 
-  /// One colour (0 or 1: the parity of i + j + k) relaxed; from zero, the other becomes zero.
-  void relax(std::size_t block, int k, int colour, bool from_zero, RowChoice const& rows, Vector const& r,
+  /// One colour (0 or 1: the parity of i + j + k) relaxed; from zero, the other becomes zero. In cells in metal values
+  /// have no meaning, and no other cell takes them, until `is_last` sets zeros there.
+  void relax(std::size_t block, int k, int colour, bool from_zero, bool is_last, RowChoice const& rows, Vector const& r,
              Vector& e) const;
 
   /// Set the parents of which the plane holds the last children: to `weight` times the sums of residuals, or of
@@ -47,9 +48,10 @@ class Sweep {
   void for_each_row(std::size_t block, int k, RowChoice const& rows, F&& f) const;
   [[gnu::noinline]] float const* composed(std::size_t side, std::int32_t number, float const* e,
                                           bool differences) const;
-  void find_cut_values(MetalPlane const& plane, int colour, Placement const& cells, Vector const& r, Vector& e) const;
-  void find_cut_values_from_zero(MetalPlane const& plane, int colour, Vector const& r) const;
-  void place_metal(MetalPlane const& plane, int colour, Vector& e) const;
+  void keep_cut_values(MetalPlane const& plane, int colour, Vector const& r, Vector& e) const;
+  void relax_cut(MetalPlane const& plane, int colour, Placement const& cells, Vector const& r, Vector& e) const;
+  void relax_cut_from_zero(MetalPlane const& plane, int colour, Vector const& r, Vector& e) const;
+  void clear_solids(MetalPlane const& plane, Vector& e) const;
   /// Composes rows beside a row, or their differences to that.
   auto composer(float const* e, bool differences) const {
     return [=](std::size_t side, std::int32_t number) { return composed(side, number, e, differences); };
@@ -59,7 +61,7 @@ class Sweep {
   Stencil const& stencil_;
   RowTable table_;
   mutable std::array<Vector, 4> buffer_;      ///< composed rows beside a row
-  mutable std::vector<float> inner_, outer_;  ///< values of cut cells of a plane
+  mutable std::vector<float> inner_, outer_;  ///< values of cut cells of a plane, before and after a step
 };
 
 }  // namespace amrpic::cycle

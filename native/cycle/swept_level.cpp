@@ -73,9 +73,10 @@ void SweptLevel::relax(int sweeps, bool from_zero, int further) {
   int reach = further + 2 * sweeps - 1;  // each half-sweep reads one cell further than it relaxes
   for (int half = 0; half < 2 * sweeps; ++half, --reach) {
     HalfSweep const h(half, from_zero);
-    auto const relax = [this, h, reach](std::size_t b, int k, RowChoice const& some) {
+    bool const is_last = half + 1 == 2 * sweeps;
+    auto const relax = [this, h, reach, is_last](std::size_t b, int k, RowChoice const& some) {
       RowChoice const rows = is_thin_ ? some : layout_.rows_in_reach(b, k, reach);
-      sweep_.relax(b, k, h.colour, h.is_fresh, rows, r_, e_);
+      sweep_.relax(b, k, h.colour, h.is_fresh, is_last, rows, r_, e_);
     };
     then({relax, h.reads, h.changes});
   }

@@ -107,6 +107,9 @@ class SweptLevel {
   };
   PlaceAndDiagonal place_and_diagonal(Index3 const& cell) const;
   Vector& right_hand_side() { return r_; }
+  void clear_right_hand_side_in_metal() {
+    for (SolidRun const& run : stencil_.solids_in_planes()) std::fill_n(&r_[std::size_t(run.place)], run.count, 0.0f);
+  }
   Vector& correction() { return e_; }
   Real scale() const { return scale_; }            ///< h²
   Equation equation() const { return equation_; }  ///< times that

@@ -253,14 +253,14 @@ void Composite::plan_rows(int l, OnLevel& level, std::vector<CompositeBox> const
     auto const for_each_in_metal = [&](auto const& cut, auto const& solid) {
       for (int k = 0; k < extent[2] && !kinds.empty(); ++k)
         mesh_.for_each_in_metal(
-            l, int(b), k,
+            l, int(b), k, Covered::visit,
             [&](CompositeMesh::CutHere const& here) {
               cut(k, std::size_t(here.place) + std::size_t(k) * in_plane, here);
             },
-            [&](std::ptrdiff_t place, int) { solid(std::size_t(place) + std::size_t(k) * in_plane); });
+            [&](std::ptrdiff_t place, int n, int) { solid(std::size_t(place) + std::size_t(k) * in_plane, n); });
     };
     for_each_in_metal([&](int, std::size_t cell, auto const&) { kinds[cell] = CellKind::cut; },
-                      [&](std::size_t cell) { kinds[cell] = CellKind::covered; });
+                      [&](std::size_t cell, int n) { std::fill_n(&kinds[cell], n, CellKind::covered); });
     for (int c = of_box.covered.first; c < of_box.covered.last && !kinds.empty(); ++c)
       for_each_cell(plan.covered[std::size_t(c)], [&](Index3 const& cell) { kinds[number(cell)] = CellKind::covered; });
     for (int s = of_box.refined.first; s < of_box.refined.last && !kinds.empty(); ++s) {
@@ -302,7 +302,7 @@ void Composite::plan_rows(int l, OnLevel& level, std::vector<CompositeBox> const
           std::size_t const row = cell / std::size_t(extent[0]);
           cuts.back().special = rows[first_row + row].special + std::int32_t(cell - row * std::size_t(extent[0]));
         },
-        [](std::size_t) {});
+        [](std::size_t, int) {});
   }
   first_refined.push_back(std::int32_t(refined.size()));
   level.rows = listed(rows), level.first_refined = listed(first_refined), level.kind = listed(kind);

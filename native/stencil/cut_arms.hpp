@@ -66,6 +66,7 @@ struct CutRow {
   std::array<Real, 6>
       factor{};  ///< of what lies beyond each side, or of the potential of the surface, or the wall, there
   Real diagonal = 0, scale = 1;
+  Real at_surfaces = 0;       ///< the sum of the factors of surfaces
   std::uint8_t surfaces = 0;  ///< one bit for each side
 
   KOKKOS_INLINE_FUNCTION bool has_surface(std::size_t side) const { return surfaces >> side & 1; }
@@ -89,7 +90,7 @@ inline CutRow cut_row(Equation const& equation, std::array<Arm, 6> const& arms, 
     for (std::size_t s = 0; s < 2; ++s) {
       out.factor[2 * axis + s] = weight * factor[s];
       if (side[s].is_cut)
-        out.surfaces = std::uint8_t(out.surfaces | 1 << (2 * axis + s));
+        out.surfaces = std::uint8_t(out.surfaces | 1 << (2 * axis + s)), out.at_surfaces += weight * factor[s];
       else
         out.diagonal -= weight * factor[s] * side[s].first;
     }
@@ -97,6 +98,7 @@ inline CutRow cut_row(Equation const& equation, std::array<Arm, 6> const& arms, 
   out.scale = std::min(Real(1), equation.diagonal() / of_metal);
   for (Real& factor : out.factor) factor *= out.scale;
   out.diagonal *= out.scale;
+  out.at_surfaces *= out.scale;
   return out;
 }
 

@@ -8,14 +8,9 @@ CoarseFluxes::CoarseFluxes(CompositeMesh& mesh) : mesh_(mesh) {
 
 void CoarseFluxes::send(int l) {
   mesh_.plan(l - 1).finer_fluxes.start([&](int, Read const& read, Real* out) {
-    int const face = read.region % 6, b = read.owner - mesh_.level(l).first_local_box();
-    auto const [u, v] = tangential_axes(face / 2);
-    Box const part = read.cells();
-    Interface const& i = mesh_.plan(l).interfaces[std::size_t(mesh_.plan(l, b).faces[std::size_t(face)].interface)];
-    Box const parents = mesh_.box(l, b).coarsen(refinement_ratio);
-    for (int y = part.lower[v]; y <= part.upper[v]; ++y)
-      out = std::copy_n(row(l, i, y - parents.lower[v] - i.v) + (part.lower[u] - parents.lower[u] - i.u),
-                        part.extent(u), out);
+    Real const* const fluxes = of_level_[std::size_t(l)].data();
+    mesh_.for_each_flux_row_read(l, read,
+                                 [&](std::int32_t first, int count) { out = std::copy_n(fluxes + first, count, out); });
   });
 }
 

@@ -88,13 +88,12 @@ void CompositeGhosts::fill_interface(int l, int b, int axis, int side, Field con
 
   Box const& own = mesh_.box(l, b);
   auto const [u, v] = tangential_axes(axis);
-  Index3 const pitch = own.strides();
-  std::ptrdiff_t const pu = pitch[u], pv = pitch[v], inward = side == 0 ? pitch[axis] : -pitch[axis];
+  FineSide const fine = fine_side(own, axis, side);
   Real const* const first = phi.level(l).data() + mesh_.offset(l, b) +
-                            (side == 0 ? 0 : std::ptrdiff_t(own.extent(axis) - 1) * pitch[axis]) + 2 * i.u * pu;
-  std::ptrdiff_t const ghost_pitch = own.extent(u);
-  Real* const ghosts = ghosts_[f].data() + 2 * i.u;
-  Real* const star = star_.data();
+                            (side == 0 ? 0 : std::ptrdiff_t(own.extent(axis) - 1) * own.stride(axis)) +
+                            2 * (i.u * own.stride(u) + i.v * own.stride(v));
+  Real* const ghosts = ghosts_[f].data() + 2 * (i.u + std::ptrdiff_t(i.v) * own.extent(u));
+  Real *const star = star_.data(), *const upper_star = star + 2 * i.nu;
   GapFit const* const* in_gap = nullptr;
   if (i.gaps >= 0) {
     Gaps const& gaps = mesh_.plan(l).gaps[std::size_t(i.gaps)];
@@ -106,26 +105,17 @@ void CompositeGhosts::fill_interface(int l, int b, int axis, int side, Field con
   for (int row = 0; row < i.nv; ++row) {
     FitNumber const* fits = mesh_.plan(l).fits.data() + i.fits + std::ptrdiff_t(row) * i.nu;
     Real* flux = fluxes_.row(l, i, row);
-    fit_row(fits, i.nu, coarse_.data() + i.margin + (i.margin + row) * coarse_pitch, coarse_pitch, star,
-            star + 2 * i.nu);
+    fit_row(fits, i.nu, coarse_.data() + i.margin + (i.margin + row) * coarse_pitch, coarse_pitch, star, upper_star);
     if (in_gap) {
-      in_gap = fit_in_gaps(in_gap, fits, i.nu, u, behind, star, star + 2 * i.nu);
+      in_gap = fit_in_gaps(in_gap, fits, i.nu, u, behind, star, upper_star);
       ++behind[v];
     }
+    Real const* const cells = first + 2 * std::ptrdiff_t(row) * fine.cell_v;
+    Real* const ghost = ghosts + 2 * std::ptrdiff_t(row) * fine.ghost_v;
     for_each_run(fits, i.nu, [&](int start, int count, FitNumber) {
-      std::fill_n(flux + start, count, 0.0);
-      for (int half = 0; half < 2; ++half) {
-        int const y = 2 * (i.v + row) + half;
-        Real const* cell = first + y * pv;
-        Real* ghost = ghosts + y * ghost_pitch;
-        Real const* fit = star + std::ptrdiff_t(half) * 2 * i.nu;
-        for (int m = start; m < start + count; ++m) {
-          Real const *p = cell + 2 * m * pu, *q = p + pu;
-          Real const lower = ghost_at_interface(fit[2 * m], p[0], p[inward]);
-          Real const upper = ghost_at_interface(fit[2 * m + 1], q[0], q[inward]);
-          ghost[2 * m] = lower, ghost[2 * m + 1] = upper;
-          flux[m] += (p[0] - lower) + (q[0] - upper);
-        }
+      for (int m = start; m < start + count; ++m) {
+        FourStars<Real> const stars{{{star[2 * m], star[2 * m + 1]}, {upper_star[2 * m], upper_star[2 * m + 1]}}};
+        flux[m] = fine.set_ghosts(stars, cells + 2 * m * fine.cell_u, ghost + 2 * m);
       }
     });
   }
@@ -138,7 +128,8 @@ void CompositeGhosts::fill_beside_metal(int l, int b, int axis, int side, Field 
   Interface const& i = mesh_.plan(l).interfaces[std::size_t(number)];
   Box const& own = mesh_.box(l, b);
   auto const [u, v] = tangential_axes(axis);
-  std::ptrdiff_t const coarse_pitch = i.nu + 2 * i.margin, inward = side == 0 ? own.stride(axis) : -own.stride(axis);
+  std::ptrdiff_t const coarse_pitch = i.nu + 2 * i.margin;
+  FineSide const fine = fine_side(own, axis, side);
   Real const* const cells = phi.level(l).data() + mesh_.offset(l, b);
   Index3 const behind = own.coarsen(refinement_ratio).layer(axis, side, 1).lower;
   for (MetalFace const& face : mesh_.metal_faces(l, number)) {
@@ -147,18 +138,9 @@ void CompositeGhosts::fill_beside_metal(int l, int b, int axis, int side, Field 
     FourStars<Real> stars{};
     for (auto const& term : face.cells) add_to_stars(stars, term.weight, coarse[term.i + term.j * coarse_pitch]);
     for (auto const& term : face.surfaces) add_to_stars(stars, term.weight, potentials[std::size_t(term.electrode)]);
-    Real sum = 0;
-    for (std::size_t half = 0; half < 2; ++half)
-      for (std::size_t a = 0; a < 2; ++a) {
-        if (!face.linked[half][a]) continue;
-        Index3 const at = face.at.fine(int(a), int(half));
-        Real const* const p = cells + own.offset(at);
-        Real const ghost =
-            face.star(a, half) * stars[half][a] + face.first(a, half) * p[0] + face.second(a, half) * p[inward];
-        ghosts_[f][std::size_t(at[u] - own.lower[u] + std::ptrdiff_t(own.extent(u)) * (at[v] - own.lower[v]))] = ghost;
-        sum += p[0] - ghost;
-      }
-    fluxes_.row(l, i, y)[x] = face.links > 0 ? face.of_links() * sum : 0;
+    Index3 const cell = face.at.fine(0, 0);
+    Real* const ghost = ghosts_[f].data() + own.layer(axis, side, 0).offset(cell);
+    fluxes_.row(l, i, y)[x] = GhostsBesideMetal(face).set(fine, stars, cells + own.offset(cell), ghost);
   }
 }
 
@@ -200,22 +182,19 @@ std::size_t CompositeGhosts::bytes() const {
 /// The value of phi beyond a side of a cell of the box under way, before finer cells or in a ghost.
 Real CompositeGhosts::value_outside(int l, int b, Index3 const& cell, int side, Real phi) const {
   if (auto const difference = difference_beyond(l, b, cell, side)) return phi + *difference;
-  return ghosts(side / 2, side % 2)[place_on_face(mesh_.box(l, b), cell, side / 2)];
+  return ghosts(side / 2, side % 2)[mesh_.box(l, b).layer(side / 2, side % 2, 0).offset(cell)];
 }
 
 /// The difference of phi across a side by the finer fluxes; none where no finer cells lie beyond.
 std::optional<Real> CompositeGhosts::difference_beyond(int l, int b, Index3 const& cell, int side) const {
   RefinedSide const* const r = mesh_.finer_beyond(l, cell, side);
   if (!r) return {};
-  auto const [u, v] = tangential_axes(r->axis);
-  Index3 const& lower = mesh_.box(l, b).lower;
-  std::ptrdiff_t const at_u = cell[u] - lower[u] - r->cells.lower[u], at_v = cell[v] - lower[v] - r->cells.lower[v];
-  return fine_face_weight * fluxes_.of(l, *r)[at_u * r->fluxes.pu + at_v * r->fluxes.pv];
+  return fine_face_weight * fluxes_.of(l, *r)[r->flux_at(counted_from_first(mesh_.box(l, b), cell))];
 }
 
 /// The datum of the wall beyond a side of a cell, which lies at one.
 Real CompositeGhosts::wall_datum(int l, int b, Index3 const& cell, int side, std::vector<Walls> const& walls) const {
-  std::ptrdiff_t const place = place_on_face(mesh_.box(l, b), cell, side / 2);
+  std::ptrdiff_t const place = mesh_.box(l, b).layer(side / 2, side % 2, 0).offset(cell);
   return walls[std::size_t(l)].datum[std::size_t(mesh_.plan(l, b).faces[side].wall + place)];
 }
 

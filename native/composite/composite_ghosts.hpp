@@ -44,10 +44,8 @@ class CompositeGhosts {
       for (cell[1] = r.cells.lower[1]; cell[1] <= r.cells.upper[1]; ++cell[1])
         for (cell[0] = r.cells.lower[0]; cell[0] <= r.cells.upper[0]; ++cell[0]) {
           std::ptrdiff_t const at = cell[0] + std::ptrdiff_t(cell[1]) * pitch[1] + std::ptrdiff_t(k) * pitch[2];
-          Real const flux = fluxes[std::ptrdiff_t(cell[u] - r.cells.lower[u]) * r.fluxes.pu +
-                                   std::ptrdiff_t(cell[v] - r.cells.lower[v]) * r.fluxes.pv];
           Real const covered = inside ? phi[at + outward] : beyond[cell[u] + std::ptrdiff_t(cell[v]) * own.extent(u)];
-          f(at, r.axis, r.side, fine_face_weight * flux - (covered - phi[at]));
+          f(at, r.axis, r.side, fine_face_weight * fluxes[r.flux_at(cell)] - (covered - phi[at]));
         }
     });
   }

@@ -179,17 +179,10 @@ void CompositeMesh::clear_covered(int l, int b, int k, Real* plane) const {
 }
 
 bool CompositeMesh::is_covered(int l, int b, Index3 const& cell) const {
-  Index3 const& lower = box(l, b).lower;
-  Index3 const at{cell[0] - lower[0], cell[1] - lower[1], cell[2] - lower[2]};
+  Index3 const at = counted_from_first(box(l, b), cell);
   for (int c = plan(l, b).covered.first; c < plan(l, b).covered.last; ++c)
     if (plan(l).covered[std::size_t(c)].contains(at)) return true;
   return false;
-}
-
-void CompositeMesh::pack_cells(Field const& field, int l, Read const& read, Real* out) const {
-  Box const &own = level(l).box(read.owner), part = read.cells();
-  Real const* from = field.level(l).data() + level(l).local_offset(read.owner);
-  for_each_row(part, [&](Index3 const& first) { out = std::copy_n(from + own.offset(first), part.extent(0), out); });
 }
 
 }  // namespace amrpic

@@ -152,8 +152,28 @@ class CompositeMesh {
   void clear_covered(int l, int b, int k, Real* plane) const;
   bool is_covered(int l, int b, Index3 const& cell) const;  ///< of a cell of the box
 
-  /// The cells of level l that others read, x fastest.
-  void pack_cells(Field const& field, int l, Read const& read, Real* out) const;
+  /// Call f(place of the first, count) for the rows of cells of level l that others read.
+  template <class F>
+  void for_each_row_read(int l, Read const& read, F&& f) const {
+    Box const part = read.cells();
+    for_each_row(part, [&](Index3 const& first) {
+      f(level(l).local_offset(read.owner) + std::int32_t(level(l).box(read.owner).offset(first)), part.extent(0));
+    });
+  }
+  void pack_cells(Field const& field, int l, Read const& read, Real* out) const {
+    Real const* const cells = field.level(l).data();
+    for_each_row_read(l, read, [&](std::int32_t first, int count) { out = std::copy_n(cells + first, count, out); });
+  }
+  /// The same for the fluxes that level l leaves for cells that others have.
+  template <class F>
+  void for_each_flux_row_read(int l, Read const& read, F&& f) const {
+    int const face = read.region % 6, b = read.owner - level(l).first_local_box();
+    auto const [u, v] = tangential_axes(face / 2);
+    Box const part = read.cells(), parents = box(l, b).coarsen(refinement_ratio);
+    Interface const& i = plan(l).interfaces[std::size_t(plan(l, b).faces[std::size_t(face)].interface)];
+    for (int y = part.lower[v]; y <= part.upper[v]; ++y)
+      f(i.fluxes + (y - parents.lower[v] - i.v) * i.nu + part.lower[u] - parents.lower[u] - i.u, part.extent(u));
+  }
 
   /// Round scale times a plane of cells into plane k of a block.
   template <class T>

@@ -47,7 +47,7 @@ class LevelPlanner {
       box_ = faces_[b].box;
       plan_ = &out_.boxes[b];
       plan_->covered.first = std::int32_t(out_.covered.size());
-      for (Overlap const& o : faces_[b].covered) out_.covered.push_back(counted_from_first(o.part));
+      for (Overlap const& o : faces_[b].covered) out_.covered.push_back(counted(o.part));
       plan_->covered.last = std::int32_t(out_.covered.size());
       plan_->is_fully_covered = faces_[b].is_fully_covered();
       plan_->refined.first = std::int32_t(out_.refined.size());
@@ -57,7 +57,7 @@ class LevelPlanner {
   }
 
  private:
-  Box counted_from_first(Box const& part) const { return part.shift_back(box_.lower); }
+  Box counted(Box const& part) const { return part.shift_back(box_.lower); }
 
   void plan_face(FacePlan& plan, Face const& face, int f) {
     if (face.is_wall) return;
@@ -155,7 +155,7 @@ class LevelPlanner {
       fluxes = part_of(out_.finer_fluxes, 0, *finer_, number_, 6 * number + face, n.cells)
                    .across(n.axis, n.cells.part.lower);
     }
-    out_.refined.push_back({n.axis, n.side, counted_from_first(n.cells.part), fluxes});
+    out_.refined.push_back({n.axis, n.side, counted(n.cells.part), fluxes});
   }
 
   int l_, margin_;

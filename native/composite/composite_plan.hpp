@@ -62,11 +62,21 @@ struct Gaps {
   std::int32_t fits;          ///< place of the fits of those cells of the interface that have such, u fastest
 };
 
+inline Index3 counted_from_first(Box const& box, Index3 const& cell) {
+  return {cell[0] - box.lower[0], cell[1] - box.lower[1], cell[2] - box.lower[2]};
+}
+
 /// Uncovered cells of a box with a refined cell beyond one of their faces.
 struct RefinedSide {
   int axis, side;
   Box cells;         ///< in the box, counted from its first cell; one layer along `axis`
   Rectangle fluxes;  ///< of the finer level
+
+  /// Place of the flux beside one of the cells, own or remote.
+  std::int32_t flux_at(Index3 const& cell) const {
+    auto const [u, v] = tangential_axes(axis);
+    return fluxes.from + (cell[u] - cells.lower[u]) * fluxes.pu + (cell[v] - cells.lower[v]) * fluxes.pv;
+  }
 };
 
 /// The lists of a box.

@@ -37,11 +37,6 @@ void RemoteBuffers::pass(RemoteReads const& reads) const {
 
 namespace {
 
-/// Where an own cell lies among those of its level.
-std::int32_t place_of(CompositeMesh const& mesh, int l, int box, Index3 const& cell) {
-  return std::int32_t(mesh.level(l).local_offset(box) + mesh.level(l).box(box).offset(cell));
-}
-
 /// Runs from a rectangle to where it lies in a plane that begins at a place.
 void add_runs(Rectangle const& r, std::int32_t plane, int pitch, std::vector<CopiedRun>& out) {
   for (int v = 0; v < r.nv; ++v) {
@@ -96,10 +91,9 @@ Composite::Composite(CompositeMesh& mesh, std::vector<SweptLevel*> levels)
   std::int32_t to = 0;
   mesh_.plan().cells.for_each_asked([&](int purpose, Read const& read) {
     int const l = CompositePlan::level_of(purpose);
-    Box const part = read.cells();
-    amrpic::for_each_row(part, [&](Index3 const& first) {
-      sent[std::size_t(l)].push_back({place_of(mesh_, l, read.owner, first), 1, to, part.extent(0)});
-      to += part.extent(0);
+    mesh_.for_each_row_read(l, read, [&](std::int32_t first, int count) {
+      sent[std::size_t(l)].push_back({first, 1, to, count});
+      to += count;
     });
   });
   for (std::size_t l = 0; l < levels_.size(); ++l) levels_[l].sent_cells = listed(sent[l]);
@@ -110,7 +104,7 @@ void Composite::plan_faces(int l, OnLevel& level, std::vector<CompositeBox>& box
   LevelPlan const& plan = mesh_.plan(l);
   std::vector<CopiedRun> neighbours, coarse;
   std::vector<WallRun> walls;
-  std::vector<FineSide> sides;
+  std::vector<SideBehind> sides;
   std::vector<CoarseFace> faces;
   std::vector<FaceBesideMetal> beside_metal;
   GapTerms::Lists gaps_coarse, gaps_fine, metal_terms;
@@ -176,23 +170,16 @@ void Composite::plan_faces(int l, OnLevel& level, std::vector<CompositeBox>& box
         faces.push_back(face_at(m, row, ~gap_count++));
       });
       for (MetalFace const& metal : mesh_.metal_faces(l, face.interface)) {
-        FaceBesideMetal out{face_at(metal.at.coarse[u] - behind[u] - i.u, metal.at.coarse[v] - behind[v] - i.v, 0),
-                            {},
-                            {},
-                            {},
-                            metal.linked,
-                            metal.links > 0 ? metal.of_links() : 0};
-        for (std::size_t b2 = 0; b2 < 2; ++b2)
-          for (std::size_t a2 = 0; a2 < 2; ++a2)
-            out.star[b2][a2] = metal.star(a2, b2), out.first[b2][a2] = metal.first(a2, b2),
-            out.second[b2][a2] = metal.second(a2, b2);
+        FaceBesideMetal const out{
+            face_at(metal.at.coarse[u] - behind[u] - i.u, metal.at.coarse[v] - behind[v] - i.v, 0),
+            GhostsBesideMetal(metal)};
         for (auto const& term : metal.cells)
           metal_terms.terms.push_back({out.face.plane + term.i + term.j * plane_v, term.weight});
         for (auto const& term : metal.surfaces) metal_terms.terms.push_back({~term.electrode, term.weight});
         metal_terms.end_gap();
         beside_metal.push_back(out);
       }
-      sides.push_back({pitch[u], pitch[v], inward, nu, plane_v});
+      sides.push_back({fine_side(box, axis, side), plane_v});
     }
   }
   level.neighbours = listed(neighbours), level.coarse = listed(coarse), level.walls = listed(walls);
@@ -212,9 +199,8 @@ CutCellPlace Composite::cut_cell(int l, int b, int k, CompositeMesh::CutHere con
   CutCellPlace out{box.first + k * pitch[2] + std::int32_t(here.place), 0, here.row, {}, {}, {}};
   for (std::size_t side = 0; side < 6; ++side) {
     int const axis = int(side) / 2;
-    auto const [u, v] = tangential_axes(axis);
     Index3 const& cell = here.cell.cell;
-    std::int32_t const on_face = (cell[u] - own.lower[u]) + own.extent(u) * (cell[v] - own.lower[v]);
+    std::int32_t const on_face = std::int32_t(own.layer(axis, int(side) % 2, 0).offset(cell));
     out.datum[side] = here.cell.is_cut(side)        ? here.cell.electrode[side]
                       : here.row.surface(side) != 0 ? ~(mesh_.plan(l, b).faces[side].wall + on_face)
                                                     : 0;
@@ -223,8 +209,7 @@ CutCellPlace Composite::cut_cell(int l, int b, int k, CompositeMesh::CutHere con
       out.beyond[side] = out.cell + (side % 2 == 0 ? -pitch[axis] : pitch[axis]);
     } else if (RefinedSide const* const r = mesh_.finer_beyond(l, cell, int(side))) {
       out.in[side] = r->fluxes.here ? CutCellPlace::In::fluxes : CutCellPlace::In::received_fluxes;
-      out.beyond[side] = r->fluxes.from + (cell[u] - own.lower[u] - r->cells.lower[u]) * r->fluxes.pu +
-                         (cell[v] - own.lower[v] - r->cells.lower[v]) * r->fluxes.pv;
+      out.beyond[side] = r->flux_at(counted_from_first(own, cell));
     } else {
       out.in[side] = CutCellPlace::In::ghosts;
       out.beyond[side] = box.ghosts[side] + on_face;
@@ -265,10 +250,8 @@ void Composite::plan_rows(int l, OnLevel& level, std::vector<CompositeBox> const
       for_each_cell(plan.covered[std::size_t(c)], [&](Index3 const& cell) { kinds[number(cell)] = CellKind::covered; });
     for (int s = of_box.refined.first; s < of_box.refined.last && !kinds.empty(); ++s) {
       RefinedSide const& r = plan.refined[std::size_t(s)];
-      auto const [u, v] = tangential_axes(r.axis);
-      for_each_cell(r.cells, [&, u = u, v = v](Index3 const& cell) {
-        std::int32_t const flux =
-            r.fluxes.from + (cell[u] - r.cells.lower[u]) * r.fluxes.pu + (cell[v] - r.cells.lower[v]) * r.fluxes.pv;
+      for_each_cell(r.cells, [&](Index3 const& cell) {
+        std::int32_t const flux = r.flux_at(cell);
         beside[number(cell)].push_back({r.fluxes.here ? flux : ~flux, r.axis, r.side});
       });
     }
@@ -339,23 +322,20 @@ void Composite::plan_exchanges(int l, OnLevel& level) {
       }
     std::int32_t to = 0;
     mesh_.transfer().families(l - 1).means.for_each_asked([&](int, Read const& read) {
-      Box const part = read.cells();
-      Index3 const pitch = mesh_.level(l).box(read.owner).strides();
+      Box const &own = mesh_.level(l).box(read.owner), part = read.cells();
       amrpic::for_each_row(part, [&](Index3 const& parent) {
-        sent.push_back(
-            {to, place_of(mesh_, l, read.owner, first_child_of(parent)), pitch[1], pitch[2], part.extent(0)});
+        std::int32_t const child =
+            mesh_.level(l).local_offset(read.owner) + std::int32_t(own.offset(first_child_of(parent)));
+        sent.push_back({to, child, own.strides()[1], own.strides()[2], part.extent(0)});
         to += part.extent(0);
       });
     });
     to = 0;
     mesh_.plan(l - 1).finer_fluxes.for_each_asked([&](int, Read const& read) {
-      int const face = read.region % 6, b = read.owner - mesh_.level(l).first_local_box();
-      auto const [u, v] = tangential_axes(face / 2);
-      Box const part = read.cells(), parents = mesh_.box(l, b).coarsen(refinement_ratio);
-      Interface const& i = plan.interfaces[std::size_t(mesh_.plan(l, b).faces[std::size_t(face)].interface)];
-      for (int y = part.lower[v]; y <= part.upper[v]; ++y, to += part.extent(u))
-        fluxes.push_back({i.fluxes + (y - parents.lower[v] - i.v) * i.nu + part.lower[u] - parents.lower[u] - i.u, 1,
-                          to, part.extent(u)});
+      mesh_.for_each_flux_row_read(l, read, [&](std::int32_t first, int count) {
+        fluxes.push_back({first, 1, to, count});
+        to += count;
+      });
     });
   }
   level.families = listed(families), level.sent_means = listed(sent), level.sent_fluxes = listed(fluxes);
@@ -488,7 +468,7 @@ void Composite::fill_ghosts(int l) {
   for_each(
       "ghosts at coarser cells", level.faces, KOKKOS_LAMBDA(std::int32_t n) {
         CoarseFace const& face = level.faces(n);
-        FineSide const& side = level.sides(face.side);
+        SideBehind const& side = level.sides(face.side);
         FourStars<Real> stars{};
         if (face.fit >= 0) {
           stars = fits.stars(face.fit, level.planes.data() + face.plane, 1, side.plane_v);
@@ -497,16 +477,7 @@ void Composite::fill_ghosts(int l) {
           level.gaps_coarse.add(~face.fit, stars, [&](std::int32_t at) { return value(coarser, at); });
           level.gaps_fine.add(~face.fit, stars, [&](std::int32_t at) { return value(phi, at); });
         }
-        Real flux = 0;
-        for (int b = 0; b < 2; ++b) {
-          Real const *const p = phi.data() + face.cell + b * side.cell_v, *const q = p + side.cell_u;
-          Real const lower = ghost_at_interface(stars[std::size_t(b)][0], p[0], p[side.inward]);
-          Real const upper = ghost_at_interface(stars[std::size_t(b)][1], q[0], q[side.inward]);
-          Real* const ghost = level.ghosts.data() + face.ghost + b * side.ghost_v;
-          ghost[0] = lower, ghost[1] = upper;
-          flux += (p[0] - lower) + (q[0] - upper);
-        }
-        level.fluxes(face.flux) = flux;
+        level.fluxes(face.flux) = side.fine.set_ghosts(stars, &phi(face.cell), &level.ghosts(face.ghost));
       });
   fill_ghosts_beside_metal(l);
 }
@@ -517,22 +488,11 @@ void Composite::fill_ghosts_beside_metal(int l) {
   auto const phi = level.phi.array(), potentials = potentials_;
   for_each(
       "ghosts beside metal", level.beside_metal, KOKKOS_LAMBDA(std::int32_t n) {
-        FaceBesideMetal const& metal = level.beside_metal(n);
-        FineSide const& side = level.sides(metal.face.side);
+        auto const& [face, ghosts] = level.beside_metal(n);
         FourStars<Real> stars{};
         level.metal_terms.add(n, stars, [&](std::int32_t at) { return at >= 0 ? level.planes(at) : potentials(~at); });
-        Real sum = 0;
-        for (int b = 0; b < 2; ++b)
-          for (int a = 0; a < 2; ++a) {
-            std::size_t const v = std::size_t(b), u = std::size_t(a);
-            if (!metal.linked[v][u]) continue;
-            Real const* const p = phi.data() + metal.face.cell + a * side.cell_u + b * side.cell_v;
-            Real const ghost =
-                metal.star[v][u] * stars[v][u] + metal.first[v][u] * p[0] + metal.second[v][u] * p[side.inward];
-            level.ghosts(metal.face.ghost + a + b * side.ghost_v) = ghost;
-            sum += p[0] - ghost;
-          }
-        level.fluxes(metal.face.flux) = metal.of_links * sum;
+        level.fluxes(face.flux) =
+            ghosts.set(level.sides(face.side).fine, stars, &phi(face.cell), &level.ghosts(face.ghost));
       });
 }
 

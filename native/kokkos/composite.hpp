@@ -1,6 +1,6 @@
 #pragma once
 
-#include "composite/composite_mesh.hpp"
+#include "composite/coarse_fluxes.hpp"
 #include "composite/composite_residual.hpp"
 #include "kokkos/fits.hpp"
 #include "kokkos/swept_level.hpp"
@@ -19,9 +19,10 @@ struct WallRun {
   std::int32_t face;  ///< 2 axis + side
 };
 
-/// A side of a box with coarser cells behind it: steps from cell to cell, and the rows of ghosts and coarse values.
-struct FineSide {
-  std::int32_t cell_u, cell_v, inward, ghost_v, plane_v;
+/// A side of a box with coarser cells behind it, and the step to the next row of coarse values.
+struct SideBehind {
+  FineSide fine;
+  std::int32_t plane_v;
 };
 /// One of its coarse faces: the first of the four cells and ghosts before it, the coarse value behind it, and where its
 /// flux belongs.
@@ -30,13 +31,10 @@ struct CoarseFace {
   std::int32_t fit;  ///< its number, or ~(that of the gap)
 };
 
-/// A coarse face that metal makes other than those with fits, see MetalFace: what ghosts have of phi*, of the cell
-/// before them and of the next one.
+/// A coarse face that metal makes other than those with fits.
 struct FaceBesideMetal {
   CoarseFace face;
-  FourStars<Real> star, first, second;
-  FourStars<char> linked;  ///< other ghosts are not read
-  Real of_links;
+  GhostsBesideMetal ghosts;
 };
 
 /// A cut cell: its equation, and where the values beyond its sides and the data of the surfaces there are.
@@ -126,7 +124,7 @@ class Composite {
     Array<RefinedFace> refined;
     Array<CopiedRun> neighbours, coarse;
     Array<WallRun> walls;
-    Array<FineSide> sides;
+    Array<SideBehind> sides;
     Array<CoarseFace> faces;
     Array<FaceBesideMetal> beside_metal;
     Array<CutCellPlace> cuts;

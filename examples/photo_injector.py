@@ -1,7 +1,8 @@
 """A photo-injector: a laser pulse on the cathode of a gun of 1.6 cells at 2.856 GHz, a solenoid, and 1.5 m to go.
 
 Writes the map of the gun's field into the folder of the run, runs, and prints size, emittance and energy at the end. Run it by
-`mpiexec -n 2 .venv/bin/python examples/photo_injector.py`. `--cells`, `--step` and `--particles` ask for finer ones.
+`mpiexec -n 2 .venv/bin/python examples/photo_injector.py`. `--cells`, `--step` and `--particles` ask for finer ones, and
+`--cells 96 --levels 0 --length 0.15` for a uniform mesh and the first 0.15 m.
 """
 
 import argparse
@@ -16,7 +17,6 @@ from amrpic.units import ELEMENTARY_CHARGE, SPEED_OF_LIGHT
 
 FREQUENCY = 2.856e9  # Hz
 PEAK = 100e6  # V/m, at the cathode
-END = 1.5  # m
 
 
 def write_map(path: Path) -> None:
@@ -53,12 +53,12 @@ def write_map(path: Path) -> None:
                 group[part] = (PEAK * parts.get(part, np.zeros_like(electric["r"])))[None]
 
 
-def steps(first: float) -> int:
+def steps(first: float, length: float) -> int:
     """How many steps pass the end: of the pulse and those that grow, in the coil, and in the drift."""
-    return round(60 / first + 1e12 * END / SPEED_OF_LIGHT / (20 * first))
+    return round(60 / first + 1e12 * length / SPEED_OF_LIGHT / (20 * first))
 
 
-def scene(folder: Path, cells: int, step: float, particles: int, levels: int) -> amrpic.Scene:
+def scene(folder: Path, cells: int, step: float, particles: int, levels: int, length: float) -> amrpic.Scene:
     """The run with so many base cells across, and steps that start at so many ps."""
     return amrpic.Scene.from_dict(
         {
@@ -115,21 +115,21 @@ def scene(folder: Path, cells: int, step: float, particles: int, levels: int) ->
                 "window": "reference",
                 "reference": {"species": "electron", "position": [0, 0, "1 um"], "momentum": [0, 0, "1 keV/c"]},
             },
-            "schedule": {"steps": steps(step)},
+            "schedule": {"steps": steps(step, length)},
             "diagnostics": {"slices": 20},
             "output": {"directory": str(folder), "write": ["series", "report"]},
         }
     )
 
 
-def tell(folder: Path, picture: Path | None) -> None:
+def tell(folder: Path, picture: Path | None, length: float) -> None:
     """Print what the beam is at the end, and draw it along the way."""
     rows = np.genfromtxt(folder / "beam.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
     rows = rows[(rows["group"] == "cathode") & (rows["particles"] > 0)]
     columns = {"rms_x": ("rms x", 1e3, "mm"), "rms_z": ("rms z", 1e3, "mm"), "emittance_x": ("emittance", 1e6, "µm")}
     for name, (label, factor, unit) in columns.items():
-        print(f"{label}: {factor * np.interp(END, rows['s'], rows[name]):.4f} {unit}")
-    energy = np.interp(END, rows["s"], rows["mean_energy"]) / ELEMENTARY_CHARGE
+        print(f"{label}: {factor * np.interp(length, rows['s'], rows[name]):.4f} {unit}")
+    energy = np.interp(length, rows["s"], rows["mean_energy"]) / ELEMENTARY_CHARGE
     print(f"kinetic energy: {1e-6 * energy:.4f} MeV")
     if picture is not None:
         from matplotlib.figure import Figure
@@ -138,7 +138,7 @@ def tell(folder: Path, picture: Path | None) -> None:
         axes = figure.add_subplot()
         for name, (label, factor, unit) in columns.items():
             axes.plot(rows["s"], factor * rows[name], label=f"{label} / {unit}")
-        axes.set(xlabel="s / m", xlim=(0, END), ylim=(0, 4))
+        axes.set(xlabel="s / m", xlim=(0, length), ylim=(0, 4))
         axes.legend(fontsize="small")
         figure.savefig(picture, dpi=100)
 
@@ -149,6 +149,7 @@ def main() -> None:
     parser.add_argument("--levels", type=int, default=2, help="levels of refinement")
     parser.add_argument("--step", type=float, default=0.1, help="first time step, ps")
     parser.add_argument("--particles", type=int, default=100_000)
+    parser.add_argument("--length", type=float, default=1.5, help="where the figures are printed, m")
     parser.add_argument("--folder", type=Path, default=Path("runs/photo_injector"))
     parser.add_argument("--picture", type=Path, help="a PNG of sizes and emittance along the way")
     chosen = parser.parse_args()
@@ -158,11 +159,11 @@ def main() -> None:
         write_map(chosen.folder / "gun.h5")
     comm.Barrier()
     simulation = amrpic.Simulation(
-        comm, scene(chosen.folder, chosen.cells, chosen.step, chosen.particles, chosen.levels)
+        comm, scene(chosen.folder, chosen.cells, chosen.step, chosen.particles, chosen.levels, chosen.length)
     )
     simulation.run()
     if comm.rank == 0:
-        tell(chosen.folder, chosen.picture)
+        tell(chosen.folder, chosen.picture, chosen.length)
 
 
 if __name__ == "__main__":

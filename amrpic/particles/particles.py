@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -120,6 +120,14 @@ class Particles:
         """The particles that an index array, a mask or a slice names."""
         position, momentum, weight, id = (a[chosen] for a in self.arrays)
         return Particles(position, momentum, weight, id, self.species)
+
+    def ascending(self, chosen: np.ndarray) -> Particles:
+        """The particles that an ascending index array names, sorted as these are."""
+        few = self.select(chosen)
+        if self.sorting is None:
+            return few
+        sorting = replace(self.sorting, starts=np.searchsorted(chosen, self.sorting.starts))
+        return Particles(*few.arrays, self.species, sorting)
 
     def replace(self, position: np.ndarray | None = None, momentum: np.ndarray | None = None) -> Particles:
         """The same particles elsewhere, or with other momenta; what is not given is shared."""

@@ -31,9 +31,9 @@ from ..scene.any_source import AnySource
 from ..scene.injection import FunctionSource
 from ..scene.scene import Scene
 from ..scene.sources import IDS, FileSource, GivenSource, OfSpecies, Source, WallSource, first_ids
-from ..stages.wall_layer import WallLayer
 from ..units import SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
 from .metal_layer import MetalLayer
+from .wall_layer import WallLayer
 
 BIRTH = 4  # stream of the counter-based generator
 EVENLY = np.array(

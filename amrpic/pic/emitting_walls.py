@@ -18,9 +18,9 @@ from ..scene.electrodes import Electrode
 from ..scene.scene import Scene
 from ..shapes import Shape
 from ..shapes.scatter import Scatter, scattered
-from ..stages.wall_layer import NormalField, WallLayer, of_component, of_potential
 from .metal_layer import MetalLayer
 from .solution import Solution
+from .wall_layer import NormalField, WallLayer, along_wall, of_component, of_potential
 
 PER_WIDTH = 6  # lines across a cell by which surfaces of electrodes are found
 LEFT = 0.25  # of a cell by which a wall may be off the face of the mesh: the window has not left it behind
@@ -58,7 +58,14 @@ class EmittingWalls:
             for name in self._metal
         }
         return of_metal | {
-            face: WallLayer.of(columns, self._field(columns, solution), particles, self._responses.get(face))
+            face: WallLayer.of(
+                columns,
+                self._field(columns, solution),
+                along_wall(columns, self._potential),
+                solution.electric,
+                particles,
+                self._responses.get(face),
+            )
             for face in self.faces
             if (columns := self._on(hierarchy, face)) and not _is_left(columns, solution)
         }

@@ -14,9 +14,9 @@ from ..particles.energy_bins import ONE_FRAME, Frames
 from ..particles.frame import Frame
 from ..space_charge.solvers import Potential
 from ..stages.poisson import SolveReport
-from ..stages.wall_layer import WallLayer
 from ..units import SPEED_OF_LIGHT
 from .metal_layer import MetalLayer
+from .wall_layer import WallLayer
 
 Part = tuple[Frame, Field, VectorField, SolveReport]  # φ and E of a bin or of its images, solved for in a frame
 

@@ -14,7 +14,7 @@ from test_emitting_walls import GAP, child, current, diode, hot
 
 import sheets
 from amrpic.pic.simulation import Simulation
-from amrpic.stages.wall_layer import WallLayer
+from amrpic.pic.wall_layer import WallLayer
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE
 
 VOLTAGE = 100.0

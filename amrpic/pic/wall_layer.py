@@ -2,6 +2,8 @@
 
 A mesh knows the mean charge of a cell, but where particles start at rest most of it lies close to the wall. There the field
 along the normal follows from Gauss's law within the cell: from the flux at its face, and the part of its charge that is below.
+The field across the normal is that along the wall there, mostly zero, and linear up to the centre of the first cell; a mesh
+has that of the centre all the way.
 """
 
 from __future__ import annotations
@@ -12,10 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..mesh.columns import READ, Columns
-from ..mesh.field import Field
+from ..mesh.field import Field, VectorField
 from ..particles.clouds import Clouds, Shape
 from ..particles.particles import Particles
 from ..particles.wall_response import WallResponse
+from ..stages.gather import gather
 
 CELLS = 2  # in which the field follows from Gauss's law
 BINS = (
@@ -69,17 +72,37 @@ def _linear(centres: np.ndarray) -> np.ndarray:
     return np.column_stack([first, (centres[:, :-1] + centres[:, 1:]) / 2, last])
 
 
+def along_wall(columns: Columns, at_wall: Function | None) -> np.ndarray:
+    """Return the field along a wall with given potentials (n, 3), V/m, by differences within each column."""
+    out = np.zeros((len(columns), 3))
+    if at_wall is not None:
+        for axis in columns.across:
+            step = np.zeros((len(columns), 3))
+            step[:, axis] = columns.width[:, axis] / 4
+            low, high = (at_wall(*(columns.centre + way * step).T) for way in (-1, 1))
+            out[:, axis] = (low - high) / (2 * step[:, axis])
+    return out
+
+
 @dataclass(frozen=True, eq=False)
 class WallLayer:
     """The field in the first cells at a wall, and how the charge of particles lies in them."""
 
     columns: Columns
     field: NormalField
+    along: np.ndarray  # (n, 3) V/m, of the field along the wall at it
+    electric: VectorField  # of the mesh
     below: np.ndarray  # (n, CELLS, BINS + 1): part of the charge of a cell that is below the edges of its bins
 
     @classmethod
     def of(
-        cls, columns: Columns, field: NormalField, particles: Particles, response: WallResponse | None = None
+        cls,
+        columns: Columns,
+        field: NormalField,
+        along: np.ndarray,
+        electric: VectorField,
+        particles: Particles,
+        response: WallResponse | None = None,
     ) -> WallLayer:
         """Return the layer with these particles in it; with a response the field at the wall is sharp. Collective."""
         near = _Near(columns, particles.position)
@@ -91,7 +114,7 @@ class WallLayer:
         total = np.cumsum(sums, axis=2)
         evenly = np.broadcast_to(np.diff(EDGES), sums.shape).cumsum(axis=2)
         below = np.divide(total, total[:, :, -1:], out=evenly, where=total[:, :, -1:] > 0)
-        return cls(columns, field, np.concatenate([np.zeros((*sums.shape[:2], 1)), below], axis=2))
+        return cls(columns, field, along, electric, np.concatenate([np.zeros((*sums.shape[:2], 1)), below], axis=2))
 
     @property
     def at_wall(self) -> np.ndarray:
@@ -99,9 +122,10 @@ class WallLayer:
         return self.field.faces[:, 0]
 
     def correct(self, electric: np.ndarray, particles: Particles, clouds: Clouds) -> None:
-        """Add to fields at particles (n, 3), V/m, what Gauss's law within cells has beyond the mesh's field along the normal.
+        """Add to fields at particles (n, 3), V/m, what Gauss's law within cells has beyond the mesh's field along the normal,
+        and what the field along the wall has beyond it across the normal. Collective.
 
-        In the column of a particle alone, so what differs across columns stays as it is gathered.
+        Gauss's law is taken in the column of a particle alone, so what differs across columns stays as it is gathered.
         """
         near = _Near(self.columns, particles.position)
         column, cell, bin, part = near.column, near.cell, near.bin, near.part
@@ -112,6 +136,11 @@ class WallLayer:
         within = faces[column, cell] + (faces[column, cell + 1] - faces[column, cell]) * share
         gathered = gathered_from(self.field.centres, column, cell, part, clouds.shape)
         electric[near.chosen, self.columns.axis] += self.columns.inwards * (within - gathered)
+        low = np.flatnonzero((cell == 0) & (part < 0.5))
+        of_mesh = gather(self.electric, particles.ascending(near.chosen[low]), clouds)
+        across = (1 - 2 * part[low, None]) * (self.along[column[low]] - of_mesh)
+        across[:, self.columns.axis] = 0.0
+        electric[near.chosen[low]] += across
 
 
 def gathered_from(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -120,6 +120,11 @@ class Particles:
         """The particles that an index array, a mask or a slice names."""
         position, momentum, weight, id = (a[chosen] for a in self.arrays)
         return Particles(position, momentum, weight, id, self.species)
+
+    def few(self, chosen: np.ndarray) -> Particles:
+        """The particles at some indices, ascending, sorted as these are."""
+        sorting = self.sorting and replace(self.sorting, starts=np.searchsorted(chosen, self.sorting.starts))
+        return replace(self.select(chosen), sorting=sorting)
 
     def replace(self, position: np.ndarray | None = None, momentum: np.ndarray | None = None) -> Particles:
         """The same particles elsewhere, or with other momenta; what is not given is shared."""

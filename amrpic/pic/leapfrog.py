@@ -22,8 +22,7 @@ from ..units import SPEED_OF_LIGHT
 from .course import Course
 from .setup import Setup
 from .solution import Solution
-from .staggered import Staggered
-from .state import State
+from .state import Staggered, State
 
 
 def gather_and_push(
@@ -88,13 +87,11 @@ def synchronized(state: State, setup: Setup) -> State:
 
 def momenta_of(state: State, chosen: np.ndarray, setup: Setup) -> np.ndarray:
     """Return the momenta (m, 3) of some particles, ascending, as `synchronized` has them for all. Collective."""
-    staggered, few = state.staggered, state.particles.select(chosen)
+    staggered, few = state.staggered, state.particles.few(chosen)
     if staggered.lag == 0:
         return few.momentum
     if staggered.between is not None:
         return staggered.between[chosen]
-    sorting = state.particles.sorted_on(state.hierarchy)
-    few = replace(few, sorting=replace(sorting, starts=np.searchsorted(chosen, sorting.starts)))
     return kick(state.solution, few, staggered, setup).momentum
 
 

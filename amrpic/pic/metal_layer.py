@@ -6,7 +6,7 @@ field in the column of each patch follows from Gauss's law, from the charge in i
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -61,11 +61,8 @@ class MetalLayer:
         within = self.at_wall[patch] + charge / (VACUUM_PERMITTIVITY * self.patches.area[patch])
         within /= self.patches.widening(patch, above)
         order = np.argsort(chosen)
-        few, sorting = particles.select(chosen[order]), particles.sorting
-        if sorting is not None:
-            few = replace(few, sorting=replace(sorting, starts=np.searchsorted(chosen[order], sorting.starts)))
         normal = self.patches.normal[patch[order]]
-        gathered = (gather(self.electric, few, clouds) * normal).sum(axis=1)
+        gathered = (gather(self.electric, particles.few(chosen[order]), clouds) * normal).sum(axis=1)
         electric[chosen[order]] += (within[order] - gathered)[:, None] * normal
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .. import html
+from .. import tables
 from ..errors import InputError
 from ..io import openpmd_reader, particle_reader, time_series
 from ..io.atomic_files import REPLACED, TEMPORARY
@@ -86,7 +86,7 @@ class Results:
         return f"Results({str(self.path)!r}: {'; '.join(f'{attribute}: {content}' for attribute, content in self._content())})"
 
     def _repr_html_(self) -> str:
-        return html.table(("what", "there is"), self._content(), f"Results of {self.path}")
+        return tables.html(("what", "there is"), self._content(), f"Results of {self.path}")
 
     def _content(self) -> list[tuple[str, str]]:
         """What lies there, by the names of attributes that read it. Local."""

@@ -22,7 +22,7 @@ from amrpic.mpm.material_points import migrate, require_inside
 from amrpic.mpm.means import element_means
 from amrpic.mpm.point_preview import preview
 from amrpic.mpm.rows import loose_weights
-from amrpic.mpm.sample import mesh_of, sample
+from amrpic.mpm.step import mesh_of, sample
 from amrpic.results.comparison import compare
 from amrpic.view.draw import figures
 from amrpic.view.views import View

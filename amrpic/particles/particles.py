@@ -121,10 +121,13 @@ class Particles:
         position, momentum, weight, id = (a[chosen] for a in self.arrays)
         return Particles(position, momentum, weight, id, self.species)
 
-    def few(self, chosen: np.ndarray) -> Particles:
-        """The particles at some indices, ascending, sorted as these are."""
-        sorting = self.sorting and replace(self.sorting, starts=np.searchsorted(chosen, self.sorting.starts))
-        return replace(self.select(chosen), sorting=sorting)
+    def ascending(self, chosen: np.ndarray) -> Particles:
+        """The particles that an ascending index array names, sorted as these are."""
+        few = self.select(chosen)
+        if self.sorting is None:
+            return few
+        sorting = replace(self.sorting, starts=np.searchsorted(chosen, self.sorting.starts))
+        return Particles(*few.arrays, self.species, sorting)
 
     def replace(self, position: np.ndarray | None = None, momentum: np.ndarray | None = None) -> Particles:
         """The same particles elsewhere, or with other momenta; what is not given is shared."""

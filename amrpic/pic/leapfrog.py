@@ -87,7 +87,7 @@ def synchronized(state: State, setup: Setup) -> State:
 
 def momenta_of(state: State, chosen: np.ndarray, setup: Setup) -> np.ndarray:
     """Return the momenta (m, 3) of some particles, ascending, as `synchronized` has them for all. Collective."""
-    staggered, few = state.staggered, state.particles.few(chosen)
+    staggered, few = state.staggered, state.particles.ascending(chosen)
     if staggered.lag == 0:
         return few.momentum
     if staggered.between is not None:

@@ -62,7 +62,7 @@ class MetalLayer:
         within /= self.patches.widening(patch, above)
         order = np.argsort(chosen)
         normal = self.patches.normal[patch[order]]
-        gathered = (gather(self.electric, particles.few(chosen[order]), clouds) * normal).sum(axis=1)
+        gathered = (gather(self.electric, particles.ascending(chosen[order]), clouds) * normal).sum(axis=1)
         electric[chosen[order]] += (within[order] - gathered)[:, None] * normal
 
 

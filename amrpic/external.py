@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from functools import singledispatch
 from typing import Self
 
 import numpy as np
@@ -14,9 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from . import _native
 from .errors import InputError
 from .io import field_maps
-from .mesh.directions import axes
 from .mesh.domain import AXES, Domain
-from .mesh.window import AT_REST, Window, vector
+from .mesh.window import AT_REST, Window, axes, vector
 from .particles.species import Species
 from .scene.bunches import DescribedBunch
 from .scene.elements import (
@@ -230,34 +228,32 @@ def faces(element: Element) -> tuple[float, float]:
     return (element.entrance_angle, element.exit_angle) if isinstance(element, DipoleElement) else (0.0, 0.0)
 
 
-@singledispatch
 def kind(element: Element) -> Kind:
-    """Return the field of an element in its own axes."""
+    """Return the field of an element, but of a map, in its own axes."""
+    match element:
+        case UniformElement():
+            return _native.UniformField(element.electric_field, element.magnetic_field)
+        case ConstantFocusingElement():
+            assert element.gradient is not None, "the wave numbers of an element need a species and a momentum"
+            return _native.FocusingField(element.gradient)
+        case QuadrupoleElement():
+            return _native.QuadrupoleField(element.gradient, element.length / 2, fringe(element))
+        case DipoleElement():
+            half, ends, lost = element.length / 2, fringe(element), lost_at_faces(element)
+            return _native.DipoleField(element.field, half, ends, faces(element), element.gradient, element.turn, lost)
+        case MultipoleElement():
+            normal, skew = (
+                [strength / math.factorial(n) for n, strength in enumerate(of)] + [0.0] * (6 - len(of))
+                for of in (element.normal, element.skew)
+            )
+            return _native.MultipoleField(normal, skew)
+        case SolenoidElement():
+            return _native.SolenoidField(element.field, element.length / 2, element.radius or 0.0)
+        case GapElement():
+            return _native.GapField(element.voltage, element.length / 2, 2 * math.pi * element.frequency, element.phase)
+        case CavityElement():
+            return _native.PillboxField(element.field, 2 * math.pi * element.frequency, element.phase)
     raise TypeError(f"no field of {element}")
-
-
-@kind.register
-def _(element: UniformElement) -> Kind:
-    return _native.UniformField(element.electric_field, element.magnetic_field)
-
-
-@kind.register
-def _(element: ConstantFocusingElement) -> Kind:
-    assert element.gradient is not None, "the wave numbers of an element need a species and a momentum"
-    return _native.FocusingField(element.gradient)
-
-
-@kind.register
-def _(element: QuadrupoleElement) -> Kind:
-    return _native.QuadrupoleField(element.gradient, element.length / 2, fringe(element))
-
-
-@kind.register
-def _(element: DipoleElement) -> Kind:
-    half = element.length / 2
-    return _native.DipoleField(
-        element.field, half, fringe(element), faces(element), element.gradient, element.turn, lost_at_faces(element)
-    )
 
 
 def lost_at_faces(element: DipoleElement) -> tuple[float, float]:
@@ -276,30 +272,6 @@ def lost_at_faces(element: DipoleElement) -> tuple[float, float]:
 
     entrance, exit = map(lost, faces(element), element.edge_integrals)
     return entrance, -exit
-
-
-@kind.register
-def _(element: MultipoleElement) -> Kind:
-    normal, skew = (
-        [strength / math.factorial(n) for n, strength in enumerate(of)] + [0.0] * (6 - len(of))
-        for of in (element.normal, element.skew)
-    )
-    return _native.MultipoleField(normal, skew)
-
-
-@kind.register
-def _(element: SolenoidElement) -> Kind:
-    return _native.SolenoidField(element.field, element.length / 2, element.radius or 0.0)
-
-
-@kind.register
-def _(element: GapElement) -> Kind:
-    return _native.GapField(element.voltage, element.length / 2, 2 * math.pi * element.frequency, element.phase)
-
-
-@kind.register
-def _(element: CavityElement) -> Kind:
-    return _native.PillboxField(element.field, 2 * math.pi * element.frequency, element.phase)
 
 
 def fringe(element: FringedElement) -> _native.EngeFringe:

@@ -18,10 +18,10 @@ from mpi4py import MPI
 
 import amrpic
 from amrpic.commands.methods import scene_from
-from amrpic.commands.text_table import columns
 from amrpic.pic.forecast import forecast
 from amrpic.pic.initial_particles import make_bunches
 from amrpic.scene.any_scene import read_data
+from amrpic.tables import columns
 from goals import Goal
 from measuring import ROOT, Record, launch, write
 

@@ -19,9 +19,9 @@ import numpy as np
 from mpi4py import MPI
 
 import amrpic
-from amrpic.commands.text_table import columns
 from amrpic.pic.memory import run_memory
 from amrpic.stages.regrid import Regridding, regrid
+from amrpic.tables import columns
 from goals import Goal
 from growth import law
 

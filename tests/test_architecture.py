@@ -80,7 +80,7 @@ ORDER = (
     "units",
     "arithmetic",
     "shapes",
-    "html",
+    "tables",
     "failure",
     "progress",
     "parallel",

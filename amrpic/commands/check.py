@@ -15,7 +15,7 @@ from ..mpi import MPI
 from ..parallel import from_rank_0
 from ..scene.complaints import RefusedScene
 from .arguments import Commands, command, count, scene_arguments, scene_of
-from .methods import check_scene, metal_of
+from .methods import method_of
 
 
 def add(commands: Commands) -> None:
@@ -60,6 +60,6 @@ def _of_scene(chosen: argparse.Namespace) -> Found:
         scene = scene_of(chosen)
     except RefusedScene as refused:
         return Found(BAD_INPUT, notes=refused.problems)
-    check_scene(scene, chosen.ranks)
-    lines = [scene.to_toml()] if chosen.resolved else [scene.summary(), *metal_of(scene)]
+    metal = method_of(scene).check(scene, chosen.ranks)
+    lines = [scene.to_toml()] if chosen.resolved else [scene.summary(), *metal]
     return Found(0, lines, [f"note: {remark}" for remark in scene.remarks()])

@@ -10,9 +10,9 @@ from pathlib import Path
 from ..mpi import MPI
 from ..parallel import from_rank_0
 from ..results.comparison import Comparison, Difference, compare
+from ..tables import columns
 from ..units import quantity
 from .arguments import Commands, command
-from .text_table import columns
 
 TOLERANCE = 1e-6
 MOST = 12  # differences of a part that are listed

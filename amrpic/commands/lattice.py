@@ -12,8 +12,8 @@ from ..lattice.convert import Converted
 from ..mpi import MPI
 from ..parallel import from_rank_0
 from ..scene.lattice_file import LatticeSection
+from ..tables import columns
 from .arguments import Commands, command
-from .text_table import columns
 
 
 def add(commands: Commands) -> None:

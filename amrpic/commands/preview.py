@@ -14,7 +14,7 @@ import numpy as np
 from ..errors import AmrpicError
 from ..io import vtkhdf_writer
 from ..io.field_reader import LiveDump
-from ..io.provenance import about
+from ..io.provenance import Moment, about
 from ..io.writer_ranks import writers_of
 from ..mesh.domain import AXES
 from ..mesh.field import Field
@@ -50,13 +50,12 @@ from ..stages.migrate import migrate
 from ..stages.push import random_walk
 from ..stages.tag import count as number_per_cell
 from ..stages.tag import living
+from ..tables import columns
 from ..units import quantity
 from ..view.draw import draw
 from ..view.views import View
 from .arguments import Commands, command, count, scene_arguments, scene_on_all_ranks, seconds
-from .methods import preview_points
 from .preview_warnings import warnings_of
-from .text_table import columns
 
 FILE = "preview.vtkhdf"
 IN_PLACE = 1e-3  # relative density that stands for rules that ask for the field: as by default
@@ -273,9 +272,9 @@ def _last_mesh(beam: MeshedParticles, setup: Setup) -> tuple[Hierarchy, str]:
 
 def _pictures(scene: Scene, rho: Field, start: float, window: Window) -> list[Path]:
     """Write mesh and charge density as a field file, draw them along the three axes, and return the paths. Collective."""
-    path = scene.directory / FILE
-    vtkhdf_writer.write(path, rho.hierarchy, {"rho": rho}, 0, start, about(scene), writers_of(scene), window)
-    dump = LiveDump(path, rho.hierarchy, {"rho": rho}, 0, start, about(scene).scene_text, window)
+    path, mesh = scene.directory / FILE, (rho.hierarchy, {"rho": rho}, Moment(0, start, window))
+    vtkhdf_writer.write(path, *mesh, about(scene), writers_of(scene))
+    dump = LiveDump(path, *mesh, about(scene).scene_text)
     kinds = ("projection", "slice") if scene.conductors else ("projection",)
     with progress("drawing pictures"):
         return [
@@ -314,6 +313,8 @@ def _preview(chosen: argparse.Namespace) -> int:
     if isinstance(scene, Scene):
         text = preview(comm, scene, chosen.ranks or comm.size, chosen.seconds)
     else:
+        from ..mpm.point_preview import preview as preview_points  # no other scene needs its imports
+
         text = preview_points(comm, scene)
     if comm.rank == 0:
         print(text)

@@ -8,12 +8,12 @@ from typing import Any
 from ..errors import InputError
 from ..io.checkpoint import UnreadableCheckpoint
 from ..io.checkpoint_folder import candidates
+from ..io.run_status import start_failed
 from ..mpi import MPI
 from ..parallel import together
 from ..run.folder import prepare
 from ..run.life import Run
 from ..run.log import RunLog
-from ..run.status import start_failed
 from ..scene.any_scene import AnyScene
 from ..scene.units import to_seconds
 from .arguments import Commands, command, scene_arguments, scene_on_all_ranks

@@ -9,8 +9,8 @@ from ..scaling.measure import CLOCKS
 from ..scaling.measured import by_kind, medians
 from ..scaling.show import page, stage_table, table, write
 from ..scaling.study import KINDS, LAUNCHER, Study
+from ..tables import columns
 from .arguments import Commands, command, count, scene_arguments, scene_of
-from .text_table import columns
 
 
 def add(commands: Commands) -> None:

@@ -10,9 +10,9 @@ from ..drivers.scans import PICTURE, SHOWN, TABLE, Row, combinations, drawn, sca
 from ..errors import InputError
 from ..mpi import MPI
 from ..scene.any_scene import read_data
+from ..tables import columns
 from .arguments import Commands, command, count
 from .methods import scene_from
-from .text_table import columns
 
 FAILED = 1  # exit status, if a run has failed
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from ..errors import OutputError
 from ..scene.json_schema import scene_reference, scene_schema
 from .arguments import Commands, command
-from .methods import MPM, scene_of_method
+from .methods import MPM, method_named
 
 
 def add(commands: Commands) -> None:
@@ -21,11 +21,11 @@ def add(commands: Commands) -> None:
 
 
 def _schema(chosen: argparse.Namespace) -> int:
-    scene, title = scene_of_method(chosen.method)
+    method = method_named(chosen.method)
     text = (
-        scene_reference(scene, title)
+        scene_reference(method.scene, method.title)
         if chosen.markdown
-        else json.dumps(scene_schema(scene), indent=2, ensure_ascii=False) + "\n"
+        else json.dumps(scene_schema(method.scene), indent=2, ensure_ascii=False) + "\n"
     )
     if chosen.output is None:
         print(text, end="")

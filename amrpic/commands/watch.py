@@ -15,11 +15,11 @@ from ..errors import InputError
 from ..io import time_series
 from ..io.run_status import FINISHED, RUNNING, STOPPED, RunStatus
 from ..results.run_results import SERIES
+from ..tables import columns
 from ..units import quantity
 from .arguments import Commands, command, seconds
 from .methods import MPM
 from .run import STOPPED as EXIT_STOPPED
-from .text_table import columns
 
 SHOWN: Mapping[str, str] = {  # columns of the series, with their units
     "rms_x": "m",

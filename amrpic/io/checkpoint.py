@@ -28,7 +28,6 @@ from ..mpi import MPI
 from ..parallel import share
 from . import shared_file
 from .atomic_files import publish, remove, require_seal, temporary
-from .openpmd_files import UNREADABLE
 from .provenance import Provenance
 from .vetting import require_readable
 from .writer_ranks import BY_SIZE, Attempts, Interleaved, Rows, Writers, one_line
@@ -110,17 +109,13 @@ def write(comm: MPI.Comm, path: Path, state: Snapshot, writers: Writers = BY_SIZ
     Raises OutputError on all ranks.
     """
     path = Path(path)
-    attempts = Attempts(f"cannot write checkpoint {path}", "free some space or choose another output folder")
-    if comm.rank == 0:
-        attempts.attempt(_start, path)
-    attempts.settle(comm)
+    attempts = Attempts(f"cannot write checkpoint {path}")
+    attempts.on_rank_0(comm, _start, path)
     lengths = {name: len(next(iter(columns.values()))) for name, columns in state.tables.items()}
     describe = partial(_describe, state=state, lengths=comm.gather(lengths) or [])
     try:
         shared_file.write(comm, temporary(path) / STATE, _arrays(state), describe, attempts, writers)
-        if comm.rank == 0:
-            attempts.attempt(publish, path)
-        attempts.settle(comm)
+        attempts.on_rank_0(comm, publish, path)
     finally:
         if comm.rank == 0:
             with contextlib.suppress(OSError):
@@ -191,7 +186,7 @@ def open_state(path: Path) -> tuple[h5py.File, Contents]:
     try:
         shared_file.require_parts(h5, file.parent)
         return h5, _contents(h5)
-    except UNREADABLE as error:
+    except shared_file.UNREADABLE as error:
         h5.close()
         raise UnreadableCheckpoint(f"checkpoint {path} is damaged or foreign: {one_line(error)}; {REMEDY}") from None
     except UnreadableCheckpoint as error:

@@ -18,13 +18,12 @@ from ..mesh.composite import Composite, Level, LiveFields
 from ..mesh.domain import AXES, Domain
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
-from ..mesh.window import AT_REST, Window, window_of
+from ..mesh.window import Window, window_of
 from ..particles.frame import Frame
 from ..units import SPEED_OF_LIGHT
 from .checkpoint import is_checkpoint, open_vetted
-from .openpmd_files import UNREADABLE
-from .shared_file import require_parts
-from .vetting import require_readable
+from .provenance import Moment
+from .shared_file import UNREADABLE, opened
 from .writer_ranks import one_line
 
 Array = NDArray[Any]
@@ -43,22 +42,15 @@ class Dump(Composite):
 
     def __init__(self, path: Path) -> None:
         self.path = Path(path)
-        require_readable(self.path)
         try:
-            self._h5 = h5py.File(self.path, "r", locking=False)
-        except OSError as error:
-            reason = one_line(error) if self.path.exists() else "No such file or directory"
-            raise self._refusal(reason) from None
+            self._h5 = opened(self.path)
+        except UNREADABLE as error:
+            raise self._refusal(one_line(error) if self.path.exists() else "No such file or directory") from None
         try:
             self._read_description()
         except UNREADABLE as error:
             self._h5.close()
             raise self._refusal(f"it is no field dump of amrpic ({one_line(error)})") from None
-        try:
-            require_parts(self._h5, self.path.parent)
-        except UNREADABLE as error:  # HDF5's own as well: a damaged group is found where its members are looked for
-            self._h5.close()
-            raise self._refusal(one_line(error)) from None
 
     @cached_property
     def periodic(self) -> tuple[bool, bool, bool]:
@@ -170,16 +162,14 @@ class LiveDump(LiveFields, Dump):
         path: Path,
         hierarchy: Hierarchy,
         fields: Mapping[str, Field | VectorField],
-        step: int,
-        time: float,
+        moment: Moment,
         scene_text: str = "{}",
-        window: Window = AT_REST,
     ) -> None:
-        """`path` is that of the dump, whether it is written or not; `time` is in s."""
+        """`path` is that of the dump, whether it is written or not."""
         super().__init__(hierarchy, {name: field.parts for name, field in fields.items()})
-        domain = window.shown(hierarchy.domain)
-        self.lower, self.upper, self.window = np.array(domain.lower), np.array(domain.upper), window
-        self.path, self.step, self.time, self._scene_text = Path(path), step, time, scene_text
+        domain = moment.window.shown(hierarchy.domain)
+        self.lower, self.upper, self.window = np.array(domain.lower), np.array(domain.upper), moment.window
+        self.path, self.step, self.time, self._scene_text = Path(path), moment.step, moment.time, scene_text
 
     @property
     def scene_text(self) -> str:

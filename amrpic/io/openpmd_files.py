@@ -11,32 +11,17 @@ import h5py
 import numpy as np
 
 from ..errors import InputError
-from .provenance import Provenance
-from .shared_file import require_parts
-from .vetting import require_readable
+from . import shared_file
+from .provenance import Moment, Provenance
+from .shared_file import UNREADABLE
 from .writer_ranks import one_line
-
-# What h5py and NumPy raise where a file holds something else than is expected.
-UNREADABLE = (
-    OSError,
-    KeyError,
-    TypeError,
-    ValueError,
-    RuntimeError,
-    AttributeError,
-    IndexError,
-    ArithmeticError,
-    MemoryError,
-)
 
 
 @contextlib.contextmanager
 def opened(path: Path, kind: str, remedy: str) -> Iterator[h5py.File]:
     """Open a file for a while; whatever goes wrong becomes InputError, in words of `kind` it is and a `remedy`."""
-    require_readable(Path(path))
     try:
-        with h5py.File(path, "r", locking=False) as h5:
-            require_parts(h5, Path(path).parent)
+        with shared_file.opened(Path(path)) as h5:
             yield h5
     except FileNotFoundError:
         raise InputError(
@@ -80,9 +65,9 @@ def text(value: Any) -> str:
     return value.decode() if isinstance(value, bytes) else str(value)
 
 
-def describe_file(h5: h5py.File, path: Path, step: int, time: float, about: Provenance) -> None:
-    """Add what holds for a new file of one iteration as a whole but where meshes and particles are; `time` is in s."""
-    name = path.name.replace(f"{step:08d}", "%08T")
+def describe_file(h5: h5py.File, path: Path, moment: Moment, about: Provenance) -> None:
+    """Add what holds for a new file of one iteration as a whole but where meshes and particles are."""
+    name = path.name.replace(f"{moment.step:08d}", "%08T")
     texts = {
         "openPMD": "1.1.0",
         "basePath": "/data/%T/",
@@ -95,7 +80,7 @@ def describe_file(h5: h5py.File, path: Path, step: int, time: float, about: Prov
         set_text(h5, key, value)
     h5.attrs["openPMDextension"] = np.uint32(0)
     h5["amrpic/scene"] = about.scene_text
-    h5.require_group(f"/data/{step}").attrs.update(time=time, dt=0.0, timeUnitSI=1.0)
+    h5.require_group(f"/data/{moment.step}").attrs.update(time=moment.time, dt=0.0, timeUnitSI=1.0)
 
 
 def set_text(target: h5py.Group, key: str, value: str) -> None:

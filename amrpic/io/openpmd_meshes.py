@@ -20,11 +20,11 @@ from ..mesh.boxes import cells_of
 from ..mesh.domain import AXES
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
-from ..mesh.window import AT_REST, Window
+from ..mesh.window import Window
 from . import virtual
 from .atomic_files import Hdf5Writer, publish, temporary
 from .openpmd_files import describe_file, set_text
-from .provenance import Provenance
+from .provenance import Moment, Provenance
 from .shared_file import name_parts
 from .vtkhdf_writer import DATASETS, boxes_as_written
 from .writer_ranks import Attempts
@@ -50,49 +50,45 @@ def write(
     fields: Mapping[str, Field | VectorField],
     fields_file: Path,
     particles_file: Path | None,
-    step: int,
-    time: float,
+    moment: Moment,
     about: Provenance,
-    window: Window = AT_REST,
 ) -> None:
     """Write the view into the file `path`, and make its folder. Collective; raises OutputError on all ranks.
 
     `fields_file` holds the fields, as `vtkhdf_writer` wrote them; `particles_file` the particles of the step, if they were.
-    `time` is in s. Meshes lie where their `window` shows them, which has their axes.
+    Meshes lie where their window shows them, which has their axes.
     """
-    attempts = Attempts(f"cannot write {path}", "free some space or choose another output folder")
+    attempts = Attempts(f"cannot write {path}")
 
     def write_view() -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         with Hdf5Writer(temporary(path)) as h5:
-            describe_file(h5, path, step, time, about)
+            describe_file(h5, path, moment, about)
             set_text(h5, "meshesPath", "fields/")
             for level in range(hierarchy.levels):
                 boxes = boxes_as_written(hierarchy, level)
                 for name, field in fields.items():
                     _add(
                         h5,
-                        f"/data/{step}/fields",
+                        f"/data/{moment.step}/fields",
                         name,
                         field,
                         level,
                         boxes,
                         hierarchy,
-                        window,
+                        moment.window,
                         _from(path, fields_file),
                     )
             files = [fields_file]
             if particles_file is not None:
-                group = f"/data/{step}/particles"
+                group = f"/data/{moment.step}/particles"
                 set_text(h5, "particlesPath", "particles/")
                 h5[group] = h5py.ExternalLink(_from(path, particles_file), group)
                 files.append(particles_file)
             name_parts(h5, path.parent, files)
         publish(path)
 
-    if hierarchy.comm.rank == 0:
-        attempts.attempt(write_view)
-    attempts.settle(hierarchy.comm)
+    attempts.on_rank_0(hierarchy.comm, write_view)
 
 
 def _from(path: Path, target: Path) -> str:

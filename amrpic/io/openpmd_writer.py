@@ -15,15 +15,14 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import OutputError
 from ..mesh.domain import AXES
-from ..mesh.window import AT_REST, Window
+from ..mesh.window import Window
 from ..mpi import MPI
 from ..particles.particles import Particles
 from ..particles.species import Species
 from . import shared_file
 from .openpmd_files import describe_file, set_text
-from .provenance import Provenance
+from .provenance import Moment, Provenance
 from .shared_file import RowTable
 from .writer_ranks import BY_SIZE, Attempts, Writers
 
@@ -46,10 +45,8 @@ def write(
     comm: MPI.Comm,
     path: Path,
     particles: Particles,
-    step: int,
-    time: float,
+    moment: Moment,
     about: Provenance,
-    window: Window = AT_REST,
     columns: Mapping[str, Array] | None = None,
     causes: Sequence[str] = (),
     writers: Writers = BY_SIZE,
@@ -58,19 +55,17 @@ def write(
 
     A group for each species holds its particles in the order of their ids, which is the same on any number of ranks; in a file
     of several parts (`shared_file`) each part is in this order, and holds the particles of a group of ranks, wherever they are.
-    Particles of a `window` are written along the axes of the laboratory, their places from its origin, with this as the offset.
+    Particles of a window are written along the axes of the laboratory, their places from its origin, with this as the offset.
     `columns` (n,) are records besides, of float64 or int64; of those that else have one value for all, `time` (s) may be among
     them, by which equal ids are ordered, and `particleStatus`, that of a dead particle being `DEAD` and the index of its cause.
     Raises OutputError on all ranks.
     """
     own = columns or {}
     path = Path(path)
-    attempts = Attempts(f"cannot write particles {path}", "free some space or choose another output folder")
-    if comm.rank == 0:
-        attempts.attempt(partial(path.parent.mkdir, parents=True, exist_ok=True))
-    attempts.settle(comm, OutputError)
-    kinds, kind = particles.species.kinds, particles.kind
-    root = f"/data/{step}/particles"
+    attempts = Attempts(f"cannot write particles {path}")
+    attempts.on_rank_0(comm, partial(path.parent.mkdir, parents=True, exist_ok=True))
+    kinds, kind, window = particles.species.kinds, particles.kind, moment.window
+    root = f"/data/{moment.step}/particles"
     groups = {f"{root}/{name}": species for name, species in zip(particles.species.names, kinds, strict=True)}
     charges = [particles.weight.sum(where=kind == number) * abs(kind_.charge) for number, kind_ in enumerate(kinds)]
     total = comm.allreduce(np.array(charges))
@@ -80,13 +75,13 @@ def write(
     }
 
     def describe(h5: h5py.File) -> None:
-        describe_file(h5, path, step, time, about)
+        describe_file(h5, path, moment, about)
         set_text(h5, "particlesPath", "particles/")
         if causes:
             h5["amrpic/causes"] = list(causes)
         h5.require_group(root)
         for (group, species), charge in zip(groups.items(), total.tolist(), strict=True):
-            _describe(h5, group, species, charge, time, window, own)
+            _describe(h5, group, species, charge, moment, own)
 
     shared_file.write(comm, path, tables, describe, attempts, writers)
 
@@ -120,8 +115,7 @@ def _describe(
     group: str,
     species: Species,
     charge: float,
-    time: float,
-    window: Window,
+    moment: Moment,
     own: Mapping[str, Array],
 ) -> None:
     """Add units, and what holds for all particles of a species but what they have `own` columns for."""
@@ -133,12 +127,12 @@ def _describe(
     member, count = h5[group], len(h5[f"{group}/id"])
     set_text(member, "speciesType", species.name or "other")
     member.attrs.update(numParticles=count, totalCharge=charge, chargeUnitSI=1.0)
-    for axis, offset in zip(AXES, window.origin, strict=True):
+    for axis, offset in zip(AXES, moment.window.origin, strict=True):
         _constant(h5, f"{group}/positionOffset/{axis}", offset, count, LENGTH)
     for name, value, dimension in (
         ("charge", species.charge, CHARGE),
         ("mass", species.mass, MASS),
-        ("time", time, TIME),
+        ("time", moment.time, TIME),
         ("particleStatus", ALIVE, NONE),
     ):
         if name not in own:

@@ -12,11 +12,9 @@ import numpy as np
 from ..errors import InputError
 from ..mpi import MPI
 from . import shared_file
-from .openpmd_files import UNREADABLE
-from .provenance import Provenance
-from .shared_file import require_parts
-from .vetting import require_readable
-from .vtkhdf_writer import VTKHDF_VERSION
+from .provenance import Moment, Provenance
+from .shared_file import UNREADABLE
+from .vtkhdf_writer import VTKHDF_VERSION, note
 from .writer_ranks import BY_SIZE, Attempts, Writers, one_line
 
 KIND = "points"
@@ -29,8 +27,7 @@ def write(
     position: np.ndarray,
     values: Mapping[str, np.ndarray],
     units: Mapping[str, str],
-    step: int,
-    time: float,
+    moment: Moment,
     about: Provenance,
     writers: Writers = BY_SIZE,
 ) -> None:
@@ -39,26 +36,24 @@ def write(
     The file is there whole and synced on return, or unchanged. All ranks have the same names. Collective; OutputError on all
     ranks.
     """
-    attempts = Attempts(f"cannot write points {path}", "free some space or choose another output folder")
+    attempts = Attempts(f"cannot write points {path}")
     arrays = {PLACES: np.ascontiguousarray(position)}
     arrays |= {VALUES.format(name): np.ascontiguousarray(column) for name, column in values.items()}
-    describe = partial(_describe, units=units, step=step, time=time, about=about)
+    describe = partial(_describe, units=units, moment=moment, about=about)
     shared_file.write(comm, Path(path), arrays, describe, attempts, writers)
 
 
 def read(path: Path) -> dict[str, np.ndarray]:
     """Return the positions and values of all points in a file, by names. Raises InputError."""
-    require_readable(path)
     try:
-        with h5py.File(path, "r", locking=False) as h5:
-            require_parts(h5, path.parent)
+        with shared_file.opened(path) as h5:
             values = {name: column[()] for name, column in h5[VALUES.format("")].items()}
             return {"position": h5[PLACES][()], **values}
     except UNREADABLE as error:
         raise InputError(f"{path} cannot be read: {one_line(error)}; give a points_*.vtkhdf that a run wrote") from None
 
 
-def _describe(h5: h5py.File, units: Mapping[str, str], step: int, time: float, about: Provenance) -> None:
+def _describe(h5: h5py.File, units: Mapping[str, str], moment: Moment, about: Provenance) -> None:
     """Add all that makes a file with points a VTKHDF one: each point is a vertex by itself."""
     root = h5.require_group("VTKHDF")
     root.attrs["Version"] = np.array(VTKHDF_VERSION, dtype=np.int64)
@@ -73,6 +68,4 @@ def _describe(h5: h5py.File, units: Mapping[str, str], step: int, time: float, a
         group["Offsets"] = np.arange(cells + 1, dtype=np.int64)
     for name, unit in units.items():
         h5[VALUES.format(name)].attrs["unit"] = unit
-    amrpic = h5.require_group("amrpic")
-    amrpic.attrs.update(step=step, time=time, version=about.version, seed=about.seed)
-    amrpic["scene"] = about.scene_text  # a dataset, since attributes end at 64 KiB
+    note(h5, moment, about)

@@ -1,4 +1,4 @@
-"""What every output says about the run that made it."""
+"""What every output says about the run that made it, and of which moment of it it is."""
 
 from __future__ import annotations
 
@@ -8,7 +8,17 @@ from dataclasses import dataclass, field
 from importlib.metadata import version
 from typing import Any
 
+from ..mesh.window import AT_REST, Window
 from ..scene.any_scene import AnyScene
+
+
+@dataclass(frozen=True)
+class Moment:
+    """The moment of a run that a file shows."""
+
+    step: int
+    time: float  # s, or the part of the load
+    window: Window = AT_REST  # where the mesh is
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from ..errors import OutputError
 from ..mpi import MPI
 from .atomic_files import TEMPORARY, Hdf5Writer, publish, remove, require_seal, seal_of, temporary
+from .vetting import require_readable
 from .writer_ranks import (
     Attempts,
     Rows,
@@ -39,6 +40,13 @@ Array = NDArray[Any]
 
 # Datasets: the names of the parts beside a file, their sizes, and the checksums at their ends.
 PARTS, BYTES, SEALS = "amrpic/parts", "amrpic/part_bytes", "amrpic/part_sha256"
+
+
+# What h5py and NumPy raise where a file holds something else than is expected.
+UNREADABLE = (
+    *(OSError, KeyError, TypeError, ValueError, RuntimeError),
+    *(AttributeError, IndexError, ArithmeticError, MemoryError),
+)
 
 
 class RowTable:
@@ -132,6 +140,18 @@ def require_parts(h5: h5py.File, folder: Path) -> None:
             raise ValueError(f"its part {name} has {actual} bytes instead of {size}")
         if seal and seal_of(folder / name) != seal:
             raise ValueError(f"its part {name} is another one, or changed since")
+
+
+def opened(path: Path) -> h5py.File:
+    """Return a file, open for reading, with all that it shows beside it. Raises InputError, or one of `UNREADABLE`."""
+    require_readable(path)
+    h5 = h5py.File(path, "r", locking=False)
+    try:
+        require_parts(h5, path.parent)
+    except UNREADABLE:  # HDF5's own as well: a damaged group is found where its members are looked for
+        h5.close()
+        raise
+    return h5
 
 
 def require_whole(path: Path) -> None:

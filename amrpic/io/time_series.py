@@ -52,10 +52,7 @@ class Series:
         self._path, self._comm = Path(path), comm
         self._descriptor = self._beside = -1
         self._adding = self._attempts()
-        attempts = self._attempts()
-        if comm.rank == 0:
-            attempts.attempt(self._open, about, keep_to_step)
-        attempts.settle(comm)
+        self._attempts().on_rank_0(comm, self._open, about, keep_to_step)
 
     def _open(self, about: Provenance, keep_to_step: int | None) -> None:
         self._path.parent.mkdir(parents=True, exist_ok=True)
@@ -90,14 +87,11 @@ class Series:
         os.pwrite(self._beside, _checksum(self._sum.hexdigest(), self._bytes), 0)
 
     def _attempts(self) -> Attempts:
-        return Attempts(f"cannot write series {self._path}", "free some space or choose another output folder")
+        return Attempts(f"cannot write series {self._path}")
 
     def sync(self) -> None:
         """Force all rows to storage, as before a checkpoint that relies on them. Collective; raises OutputError."""
-        attempts = self._attempts()
-        if self._comm.rank == 0:
-            attempts.attempt(os.fsync, self._descriptor)
-        attempts.settle(self._comm)
+        self._attempts().on_rank_0(self._comm, os.fsync, self._descriptor)
 
     def close(self) -> None:
         """Close the files."""
@@ -121,10 +115,8 @@ def write(
 ) -> None:
     """Write a table that is not appended to, that of rank 0, in place of one that is there. Collective; raises OutputError."""
     path = Path(path)
-    attempts = Attempts(f"cannot write table {path}", "free some space or choose another output folder")
-    if comm.rank == 0:
-        attempts.attempt(_publish, path, columns, about, "".join(_line(row, columns) for row in rows).encode())
-    attempts.settle(comm)
+    lines = "".join(_line(row, columns) for row in rows).encode() if comm.rank == 0 else b""
+    Attempts(f"cannot write table {path}").on_rank_0(comm, _publish, path, columns, about, lines)
 
 
 def read(path: Path) -> NDArray[Any]:

@@ -16,7 +16,7 @@ from ..errors import AmrpicError, OutputError
 from ..mpi import MPI
 from ..parallel import raise_together
 from ..scene.any_scene import AnyScene
-from ..scene.output import PART_BYTES
+from ..scene.run_sections import PART_BYTES
 
 PIECE_BYTES = 2**20  # what is sent, written and checked at once
 AHEAD = 8  # pieces that are under way to a writer while it writes
@@ -249,13 +249,16 @@ def _arriving(comm: MPI.Comm, lengths: Sequence[tuple[int, int]], like: Rows, ah
 # ---- failures ----
 
 
+FREE_SOME_SPACE = "free some space or choose another output folder"
+
+
 class Attempts:
     """Acts that may fail on one rank while others wait for it: the first failure is kept, later acts are skipped.
 
     A writer goes on receiving after a failure, so that nobody hangs; `settle` then raises on all ranks.
     """
 
-    def __init__(self, purpose: str, remedy: str) -> None:
+    def __init__(self, purpose: str, remedy: str = FREE_SOME_SPACE) -> None:
         self._purpose, self._remedy = purpose, remedy
         self.message: str | None = None
 
@@ -274,6 +277,12 @@ class Attempts:
         before, self.message = self.message, None
         self.attempt(close)
         self.message = self.message or before
+
+    def on_rank_0(self, comm: MPI.Comm, act: Callable[..., object], *arguments: Any) -> None:
+        """Let rank 0 alone act, and `settle`. Collective."""
+        if comm.rank == 0:
+            self.attempt(act, *arguments)
+        self.settle(comm)
 
     def settle(self, comm: MPI.Comm, error: type[Exception] = OutputError) -> None:
         """Raise `error` on all ranks if an act failed on any of them. Collective."""

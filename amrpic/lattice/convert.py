@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from .orbit import START, OrbitFrame, chord, exit_of, middle
-from .pieces import Beamline, Hole, LatticePiece, LatticeReference
+from .pieces import START, Beamline, Hole, LatticePiece, LatticeReference, OrbitFrame, chord, exit_of, middle
 
 Section = dict[str, Any]  # as a scene file has it
 GAP = 0.1  # m, length of a cavity that has none

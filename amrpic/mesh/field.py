@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .. import _native, html
+from .. import _native, tables
 from ..errors import HierarchyError, InputError
 from ..parallel import global_max, global_sum
 from . import exports
@@ -440,7 +440,7 @@ class VectorField:
             low, high = component._range_here()
             rows.append([axis, f"{low:.4g}", f"{high:.4g}"])
         caption = f"VectorField{' in ' * bool(self.unit)}{self.unit}{self.x._on_rank}"
-        return html.table(("component", "least", "largest"), rows, caption)
+        return tables.html(("component", "least", "largest"), rows, caption)
 
     @property
     def parts(self) -> tuple[Field, ...]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .. import html
+from .. import tables
 from ..errors import InputError
 from ..mpi import MPI
 from ..units import quantity
@@ -186,7 +186,7 @@ class FieldViews(ABC):
         caption = (
             f"Field{' in ' * bool(self.unit)}{self.unit}; least and largest value of uncovered cells{self._on_rank}"
         )
-        return html.table(("level", "cells", "least", "largest"), rows, caption)
+        return tables.html(("level", "cells", "least", "largest"), rows, caption)
 
 
 def axis_number(axis: int | str) -> int:

@@ -8,7 +8,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from .. import _native, html
+from .. import _native, tables
 from ..conductors.conductor import Conductor
 from ..conductors.refined import beside_edges, beside_surfaces
 from ..errors import HierarchyError, InputError
@@ -238,4 +238,4 @@ class Hierarchy:
             f"{quantity(low, 'm')} to {quantity(high, 'm')}"
             for low, high in zip(self.domain.lower, self.domain.upper, strict=True)
         )
-        return html.table(("level", "boxes", "cells", "cell width"), rows, f"Hierarchy on {reach}")
+        return tables.html(("level", "boxes", "cells", "cell width"), rows, f"Hierarchy on {reach}")

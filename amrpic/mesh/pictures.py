@@ -156,7 +156,7 @@ def plane(
         numbers = (norm.boundaries[:-1] + 0.5).astype(int)
         colours.set_ticks(numbers.tolist(), labels=[("none", *kinds)[number + 1] for number in numbers], minor=False)
         colours.minorticks_off()
-    if boxes:
+    if boxes and len(fields.levels) > 1:
         # Outside: every place in the panel may hold a bunch. On dark ground, as the light lines need it.
         figure.legend(
             loc="lower center",

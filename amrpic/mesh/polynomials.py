@@ -6,7 +6,7 @@ surroundings share their weights. Where a level ends, coarser cells take part; f
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _native, gmls
+from ..errors import InputError
 from .surroundings import WALL, Surroundings
 
 Array = NDArray[Any]
@@ -204,3 +205,10 @@ def neighbour_bounds(surroundings: Surroundings, values: Array) -> tuple[Array, 
         part = tuple(slice(int(a), int(b)) for a, b in zip(first + step, last + step, strict=True))
         least, most = np.minimum(least, low[part]), np.maximum(most, high[part])
     return least, most
+
+
+def require_order(order: object, orders: Sequence[int], name: str) -> None:
+    """Raise InputError unless an order, said to be that of `name`, is a whole number among these. Local."""
+    if isinstance(order, bool) or not isinstance(order, int | np.integer) or order not in orders:
+        *first, last = map(str, orders)
+        raise InputError(f"the order of {name} is {order!r:.60}; use {', '.join(first)} or {last}")

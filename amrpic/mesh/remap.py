@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 from ..errors import HierarchyError, InputError
 from ..parallel import raise_together
 from .hierarchy import Hierarchy
-from .orders import require_order
 from .overlaps import CommonPart, parts
 from .patch import Patch
-from .polynomials import Fits, exponents, neighbour_bounds
+from .polynomials import Fits, exponents, neighbour_bounds, require_order
 from .surroundings import CellLattice, Surroundings, block
 
 Array = NDArray[Any]

@@ -18,8 +18,8 @@ from ..errors import InputError
 from ..parallel import share
 from .boxes import cells_of, each_cell, rows_of
 from .composite import Composite
-from .orders import require_order
 from .periods import wrapped
+from .polynomials import require_order
 
 Array = NDArray[Any]
 

@@ -8,8 +8,8 @@ from typing import Any, Literal
 from pydantic import Field, model_serializer, model_validator
 
 from ..mesh.domain import AXES
+from ..scene.boundary_values import pairs_of, schema_of
 from ..scene.complaints import close_match, complaint
-from ..scene.per_face import pairs_of, schema_of
 from ..scene.section import Section
 
 KINDS = ("slip", "clamped", "free")

@@ -14,6 +14,7 @@ from ..mpi import MPI
 from ..parallel import global_max
 from ..run.folder import prepare
 from ..run.machine import MIB, machine_memory
+from ..scene.any_scene import AnyScene
 from ..units import quantity
 from ..view.draw import draw
 from ..view.views import View
@@ -27,11 +28,12 @@ from .step import begin
 FILE = "preview.vtkhdf"
 
 
-def preview(comm: MPI.Comm, scene: Scene) -> str:
+def preview(comm: MPI.Comm, scene: AnyScene) -> str:
     """Return the text of a preview; pictures go into the folder of the scene's run. Nothing is solved. Collective.
 
     Raises what making points may raise, and OutputError.
     """
+    assert isinstance(scene, Scene)
     prepare(comm, scene)
     require_room(comm, scene)
     plan = Plan(comm, scene)
@@ -86,6 +88,6 @@ def _pictures(plan: Plan, state: LoadState) -> list[str]:
     """Write the structure as a field file, draw it, and return the paths. Collective."""
     scene, hierarchy = plan.scene, state.placed.mesh.hierarchy
     path, means = scene.directory / FILE, element_means(state, scene)
-    vtkhdf_writer.write(path, hierarchy, means, 0, 0.0, about(scene), writers_of(scene))
-    dump = LiveDump(path, hierarchy, means, 0, 0.0, about(scene).scene_text)
+    vtkhdf_writer.write(path, hierarchy, means, state.moment, about(scene), writers_of(scene))
+    dump = LiveDump(path, hierarchy, means, state.moment, about(scene).scene_text)
     return list(map(str, [path, *draw(dump, path.parent, [View("material", axis=axis) for axis in range(3)])]))

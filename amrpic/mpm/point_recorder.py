@@ -71,7 +71,7 @@ class PointRecorder(Recorder[LoadState]):
         }
 
     def _mesh(self, state: LoadState) -> MeshFields:
-        return MeshFields(state.placed.mesh.hierarchy, element_means(state, self._scene), state.load)
+        return MeshFields(state.placed.mesh.hierarchy, element_means(state, self._scene), state.moment)
 
     def _snapshot(self, state: LoadState) -> Snapshot:
         return snapshot(state, self._plan)
@@ -87,8 +87,8 @@ class PointRecorder(Recorder[LoadState]):
         directory, kind = self._scene.directory, points_writer.KIND
         path = vtkhdf_writer.path_of(directory, state.step, kind)
         place, (values, units) = state.placed.points.position, point_values(state)
-        points_writer.write(self._comm, path, place, values, units, state.step, state.load, self._about, self._writers)
-        vtkhdf_writer.list_time(self._comm, directory, state.step, state.load, kind)
+        points_writer.write(self._comm, path, place, values, units, state.moment, self._about, self._writers)
+        vtkhdf_writer.list_time(self._comm, directory, state.moment, kind)
 
     def _draw_more(self) -> None:
         """Draw forces over travel."""

@@ -16,10 +16,10 @@ from ..fem.hexahedra import DEGREES
 from ..fem.layouts import MOST_PER_AXIS
 from ..fem.points import Weights
 from ..scene.any_scene import AnyScene
-from ..scene.complaints import complaint, complaint_of
+from ..scene.complaints import complaint_of
 from ..scene.domain_section import CuboidSection
-from ..scene.output import Files
 from ..scene.parts import SceneParts
+from ..scene.run_sections import Files
 from ..scene.section import Section
 from ..scene.units import Acceleration3, Density, Index3, Length, Pressure, Toughness
 from .faces import FACES_SCHEMA, Face, faces_of
@@ -219,22 +219,18 @@ class Scene(AnyScene):
         clamped = any(face.kind == "clamped" for pair in self.faces.values() for face in pair)
         for axis, pair in self.faces.items():
             if not clamped and all(face.kind == "free" for face in pair):
-                raise complaint(
-                    f"let the body go along {axis}",
-                    f'make one of {axis} "slip", or any "clamped"',
-                    path="faces",
-                    found="",
+                self.refuse(
+                    "faces", f"let the body go along {axis}", f'make one of {axis} "slip", or any "clamped"', found=""
                 )
         for name, material in self.materials.items():
             if material.damage is None:
                 continue
             nodes = self.domain.value.spacing / self.domain.degree
             if material.damage.length < FEWEST_SPACINGS * (1 - 1e-9) * nodes.max():
-                raise complaint(
+                self.refuse(
+                    f"materials.{name}.damage.length",
                     f"is shorter than two distances of nodes, {FEWEST_SPACINGS * nodes.max():g} m",
                     "use more elements or a higher degree, or a longer one",
-                    path=f"materials.{name}.damage.length",
-                    found=material.damage.length,
                 )
         return self
 
@@ -242,16 +238,14 @@ class Scene(AnyScene):
         for path, name in self.structure.names(list(self.materials)):
             if name not in self.materials and name != EMPTY:
                 materials = ", ".join(self.materials)
-                raise complaint(
+                self.refuse(
+                    f"structure.{path}",
                     "is no material of the scene",
                     f'use {materials}, or "{EMPTY}" where there is nothing',
-                    path=f"structure.{path}",
                     found=name,
                 )
         if EMPTY in self.materials:
-            raise complaint(
-                "means that there is nothing", "name the material otherwise", path=f"materials.{EMPTY}", found=""
-            )
+            self.refuse(f"materials.{EMPTY}", "means that there is nothing", "name the material otherwise", found="")
 
     @staticmethod
     def _anchor_files(data: Mapping[str, Any], folder: Path) -> None:

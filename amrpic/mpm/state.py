@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from ..io.provenance import Moment
 from ..mpi import MPI
 from ..parallel import own
 from ..run.clock import Clock
@@ -32,6 +33,11 @@ class LoadState:
     loads: Loads  # how far the load is, and what follows
     placed: PlacedPoints
     measured: Mapping[str, float]  # what the series says of the step that led here
+
+    @property
+    def moment(self) -> Moment:
+        """Step and load, as files have them."""
+        return Moment(self.step, self.load)
 
     @property
     def load(self) -> float:

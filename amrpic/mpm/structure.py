@@ -12,7 +12,6 @@ import scipy
 from pydantic import Field, model_validator
 
 from ..errors import SceneError
-from ..scene.complaints import complaint
 from ..scene.section import Section
 from ..scene.units import Length, Length3
 
@@ -147,7 +146,7 @@ class Voxels(Structure):
     def _whole(self) -> Self:
         for label in self.materials:
             if not label.lstrip("-").isdigit():
-                raise complaint("is no label", "use whole numbers as keys", path=f"materials.{label}", found=label)
+                self.refuse(f"materials.{label}", "is no label", "use whole numbers as keys", found=label)
         return self
 
     def names(self, materials: Sequence[str]) -> Names:

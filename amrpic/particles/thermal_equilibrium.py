@@ -1,12 +1,4 @@
-"""Thermal equilibrium of a continuous round beam in linear focusing, with its own field.
-
-The density is n(0) exp(-ψ) with ψ = (K r²/2 + q φ(r)/γ²)/T: K the focusing in N/m, T the temperature γ m <v_x²> in J. With
-r = s λ in Debye lengths, λ² = ε0 γ² T/(q² n(0)), Poisson's equation is (s ψ')'/s = 1 + δ - exp(-ψ), and δ > 0 alone
-distinguishes beams (R. C. Davidson, H. Qin, Physics of Intense Charged Particle Beams, 2001; S. M. Lund, T. Kikuchi,
-R. C. Davidson, Phys. Rev. ST Accel. Beams 12 (2009) 114801). By the virial theorem K <x²> = T + S for every δ, with
-S = <x F_x> = q λ_q/(8π ε0 γ²) for its own field and the charge per length λ_q. So the tune depression k/k0, that of the KV beam
-with the same rms size and emittance, is sqrt(T/(K <x²>)); it fixes ∫ exp(-ψ) s ds = 4 S/T = 4 ((k0/k)² - 1), and that fixes δ.
-"""
+"""Beams in linear focusing: the gradient of their own field, their tune depression, and thermal equilibrium in it."""
 
 from __future__ import annotations
 
@@ -16,6 +8,41 @@ from functools import lru_cache
 
 import numpy as np
 import scipy
+
+from ..units import SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
+
+
+def line_gradient(charge: float, size: float, across: float) -> float:
+    """Return E_x / x, V/m², in a uniform elliptic cylinder of so much charge per length (C/m).
+
+    `size` and `across` are its rms sizes along x and y, m: half of its half axes.
+    """
+    return charge / (4 * math.pi * VACUUM_PERMITTIVITY * size * (size + across))
+
+
+def ellipsoid_gradient(charge: float, size: float, across: float, along: float) -> float:
+    """Return E_x / x, V/m², in a uniform ellipsoid at rest, of a charge (C) and rms sizes along x, y and z, m.
+
+    Its half axes are √5 times as long (O. D. Kellogg, Foundations of Potential Theory, 1929, chapter VII, with Carlson's R_D).
+    """
+    return (
+        charge
+        / (4 * math.pi * VACUUM_PERMITTIVITY * 5**1.5)
+        * float(scipy.special.elliprd(across**2, along**2, size**2))
+    )
+
+
+def tune_depression(emittance: float, size: float, gradient: float, charge: float, mass: float, gamma: float) -> float:
+    """Return k/k0, the wave numbers with and without self-field, of the beam that is matched with these moments.
+
+    Of a normalised rms `emittance` (m rad) and an rms `size` (m), whose self-force per length is `charge` (C) × `gradient`
+    (V/m²), and particles of a `mass` (kg); from the envelope equation at rest, k0² <x²> = ε²/<x²> + <x F_x>/(γ m v²) with
+    k = ε/<x²>. nan without emittance and self-force.
+    """
+    cold = charge * gradient * gamma * size**4 / (mass * SPEED_OF_LIGHT**2)
+    total = emittance**2 + cold
+    return emittance / math.sqrt(total) if total > 0 else math.nan
+
 
 END = 45.0  # ψ where the density, e^-45, has ended
 POINTS = 8001  # across the beam; its edge is a Debye length wide, and at `COLDEST` the beam 600 of them

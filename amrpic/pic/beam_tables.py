@@ -9,6 +9,8 @@ import numpy as np
 from ..errors import InputError
 from ..io.provenance import Provenance
 from ..io.time_series import Series
+from ..mesh.domain import AXES
+from ..mesh.periods import LARGEST_FILL
 from ..mpi import MPI
 from ..parallel import call_together
 from ..particles.groups import Groups
@@ -27,8 +29,33 @@ from ..stages.beam_diagnostics import (
     slice_values,
 )
 from ..units import Column
-from .fills import Fills
 from .state import State
+
+
+class Fills:
+    """Remarks on groups whose nearest images say little of their size, one for each group and axis."""
+
+    def __init__(self, remark: Callable[[str], None]) -> None:
+        self._remark = remark
+        self._said: set[tuple[str, int]] = set()
+
+    def check(self, fills: Mapping[str, np.ndarray]) -> None:
+        """Remark on groups by name whose rms size round an axis over its period, `fills` (3,) each, is too large."""
+        for axis, letter in enumerate(AXES):
+            full = {
+                name: float(fill[axis])
+                for name, fill in fills.items()
+                if fill[axis] > LARGEST_FILL and (name, axis) not in self._said
+            }
+            if full:
+                self._said |= {(name, axis) for name in full}
+                most = max(full.values())
+                size = "is even" if most > 1 else f"has an rms size of {most:.2g} of that"
+                self._remark(
+                    f"{', '.join(full)}: the beam takes up the period along {letter} ({size}, where nearest images serve up to "
+                    f"{LARGEST_FILL:.2g}), so its mean, size and emittance along {letter} depend on where the period is cut"
+                )
+
 
 BEAM = "beam.csv"
 SLICES = "slices.csv"

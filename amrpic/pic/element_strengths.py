@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
-from functools import singledispatch
 
 import numpy as np
 
@@ -15,7 +14,6 @@ from ..scene.elements import (
     ConstantFocusingElement,
     DipoleElement,
     Element,
-    FringedElement,
     GapElement,
     MapElement,
     MultipoleElement,
@@ -39,48 +37,43 @@ class Strength:
     magnetic_gradient: float = 0.0  # T/m
     frequency: float = 0.0  # Hz
     length: float = math.inf  # m, over which the field comes and goes, at the least
-    smooth: bool = (
-        False  # whether it does so smoothly, sampled at steps: between hard ends it is averaged along flights
-    )
+    # whether it does so smoothly, sampled at steps: between hard ends it is averaged along flights
+    smooth: bool = False
     node: float = math.inf  # m, between nodes of a map
 
 
-@singledispatch
 def strength(element: Element) -> Strength:
     """Return how strong an element is; wave numbers of focusing must have become gradients. Reads the files of maps."""
+    match element:
+        case UniformElement():
+            sizes = math.hypot(*element.electric_field), math.hypot(*element.magnetic_field)
+            return Strength(*sizes, length=element.length or math.inf)
+        case ConstantFocusingElement():
+            assert element.gradient is not None, "the wave numbers of an element need a species and a momentum"
+            return Strength(electric_gradient=max(map(abs, element.gradient)), length=element.length or math.inf)
+        case QuadrupoleElement() | DipoleElement():
+            field = element.field if isinstance(element, DipoleElement) else 0.0
+            fringe = math.inf if element.gap is None else FRINGE * element.gap
+            length, smooth = min(element.length, fringe), element.fringe != "hard"
+            return Strength(0.0, abs(field), 0.0, abs(element.gradient), length=length, smooth=smooth)
+        case MultipoleElement():
+            return _of_multipole(element)
+        case SolenoidElement():
+            coil = math.inf if element.radius is None else COIL * element.radius
+            smooth = element.radius is not None
+            return Strength(magnetic=abs(element.field), length=min(element.length, coil), smooth=smooth)
+        case GapElement():
+            return _of_gap(element)
+        case CavityElement():  # near the axis B_φ = E0 k r / (2 c)
+            k = 2 * math.pi * element.frequency / SPEED_OF_LIGHT
+            field, slope = abs(element.field), abs(element.field) * k / (2 * SPEED_OF_LIGHT)
+            return Strength(field, 0.0, 0.0, slope, element.frequency, element.length)
+        case MapElement():
+            return _of_map(element)
     raise TypeError(f"no strength of {element}")
 
 
-@strength.register
-def _(element: UniformElement) -> Strength:
-    return Strength(
-        math.hypot(*element.electric_field), math.hypot(*element.magnetic_field), length=element.length or math.inf
-    )
-
-
-@strength.register
-def _(element: ConstantFocusingElement) -> Strength:
-    assert element.gradient is not None, "the wave numbers of an element need a species and a momentum"
-    return Strength(electric_gradient=max(map(abs, element.gradient)), length=element.length or math.inf)
-
-
-@strength.register
-def _(element: QuadrupoleElement) -> Strength:
-    return Strength(magnetic_gradient=abs(element.gradient), length=_shortest(element), smooth=element.fringe != "hard")
-
-
-@strength.register
-def _(element: DipoleElement) -> Strength:
-    return Strength(
-        magnetic=abs(element.field),
-        magnetic_gradient=abs(element.gradient),
-        length=_shortest(element),
-        smooth=element.fringe != "hard",
-    )
-
-
-@strength.register
-def _(element: MultipoleElement) -> Strength:
+def _of_multipole(element: MultipoleElement) -> Strength:
     """Of higher orders the gradient where the elements reach to, or at a tenth of their length."""
     r = min(element.reach or math.inf, element.length / 10)
     pairs = list(itertools.zip_longest(element.normal, element.skew, fillvalue=0.0))
@@ -89,51 +82,20 @@ def _(element: MultipoleElement) -> Strength:
     return Strength(magnetic=sizes[0] if sizes else 0.0, magnetic_gradient=sum(slopes))
 
 
-@strength.register
-def _(element: SolenoidElement) -> Strength:
-    coil = math.inf if element.radius is None else COIL * element.radius
-    return Strength(magnetic=abs(element.field), length=min(element.length, coil), smooth=element.radius is not None)
-
-
-@strength.register
-def _(element: GapElement) -> Strength:
+def _of_gap(element: GapElement) -> Strength:
     """On the axis e = peak (1 - u²)⁴, whose largest slope is peak (8/√7) (6/7)³ per half of the length; E_r = -r e'/2."""
     peak = abs(element.voltage) * 315 / 128 / element.length
     slope = 8 / math.sqrt(7) * (6 / 7) ** 3 * peak / (element.length / 2)
-    return Strength(
-        electric=peak, electric_gradient=slope, frequency=element.frequency, length=element.length, smooth=True
-    )
+    return Strength(peak, 0.0, slope, 0.0, element.frequency, element.length, smooth=True)
 
 
-@strength.register
-def _(element: CavityElement) -> Strength:
-    """Near the axis B_φ = E0 k r / (2 c)."""
-    k = 2 * math.pi * element.frequency / SPEED_OF_LIGHT
-    gradient = abs(element.field) * k / (2 * SPEED_OF_LIGHT)
-    return Strength(abs(element.field), magnetic_gradient=gradient, frequency=element.frequency, length=element.length)
-
-
-@strength.register
-def _(element: MapElement) -> Strength:
-    field_map = field_maps.read(element.file, element.iteration)
+def _of_map(element: MapElement) -> Strength:
+    field_map, scale = field_maps.read(element.file, element.iteration), abs(element.scale)
     (electric, electric_gradient), (magnetic, magnetic_gradient) = (
         _largest(values, field_map.spacing) for values in (field_map.electric, field_map.magnetic)
     )
-    scale = abs(element.scale)
-    return Strength(
-        scale * electric,
-        scale * magnetic,
-        scale * electric_gradient,
-        scale * magnetic_gradient,
-        frequency=element.frequency,
-        node=min(field_map.spacing),
-    )
-
-
-def _shortest(element: QuadrupoleElement | DipoleElement) -> float:
-    """Return the length of a magnet or that of its fringe, m."""
-    assert isinstance(element, FringedElement)
-    return element.length if element.gap is None else min(element.length, FRINGE * element.gap)
+    sizes, slopes = (scale * electric, scale * magnetic), (scale * electric_gradient, scale * magnetic_gradient)
+    return Strength(*sizes, *slopes, element.frequency, node=min(field_map.spacing))
 
 
 def _largest(values: np.ndarray | None, spacing: tuple[float, ...]) -> tuple[float, float]:

@@ -27,8 +27,7 @@ from ..parallel import call_together, from_rank_0, share
 from ..particles.particles import Particles
 from ..particles.species import SpeciesTable
 from ..particles.uniform_numbers import draw
-from ..scene.any_source import AnySource
-from ..scene.injection import FunctionSource
+from ..scene.injection import AnySource, FunctionSource
 from ..scene.scene import Scene
 from ..scene.sources import IDS, FileSource, GivenSource, OfSpecies, Source, WallSource, first_ids
 from ..units import SPEED_OF_LIGHT, VACUUM_PERMITTIVITY

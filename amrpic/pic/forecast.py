@@ -15,7 +15,7 @@ from ..errors import AmrpicError, OutputError
 from ..mpi import MPI
 from ..parallel import own, together
 from ..scene.bunches import LatticeBunch, Train
-from ..scene.output import Output
+from ..scene.run_sections import Output
 from ..scene.scene import Scene
 from .particle_recorder import ParticleRecorder
 from .simulation import Simulation

@@ -14,8 +14,7 @@ from ..particles.energy_bins import ONE_FRAME, Frames, frames_of
 from ..particles.frame import LABORATORY
 from ..particles.motion_of_charge import charges
 from ..particles.particles import Particles
-from .image_forces import frames_with_images
-from .image_walls import mirrored
+from .charge_images import frames_with_images, mirrored
 from .setup import Setup
 from .state import State
 

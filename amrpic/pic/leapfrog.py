@@ -22,8 +22,7 @@ from ..units import SPEED_OF_LIGHT
 from .course import Course
 from .setup import Setup
 from .solution import Solution
-from .staggered import Staggered
-from .state import State
+from .state import Staggered, State
 
 
 def gather_and_push(

@@ -14,7 +14,8 @@ from ..parallel import global_max, global_sum, node_of, raise_together
 from ..run.machine import available_memory, resident
 from ..scene.domain_section import LARGEST_INDEX
 from ..scene.scene import Scene
-from .driven_electrodes import make_electrodes, make_solids
+from .cut_metal import describe_scene
+from .driven_electrodes import make_solids
 from .memory import Share, base_boxes, rank_memory, run_memory
 
 
@@ -41,11 +42,12 @@ def rank_cells_error(cells: int, ranks: int, where: str = "domain.cells") -> str
     )
 
 
-def check_scene(scene: Scene, ranks: int, available: int | None = None) -> None:
-    """Raise SceneError if files of a scene are missing, or its base level and particles cannot be held by so many ranks, and
-    InputError if the field of an element cannot be made.
+def check_scene(scene: Scene, ranks: int, available: int | None = None) -> list[str]:
+    """Return what the base level cuts of the electrodes of a scene, a line for each, and remarks on them.
 
-    Refined levels are not known yet; a run looks at them when they are.
+    Raises SceneError if files of a scene are missing, or its base level and particles cannot be held by so many ranks, and
+    InputError if the field of an element cannot be made, or electrodes touch. Refined levels are not known yet; a run looks at
+    them when they are.
     """
     for number, bunch in enumerate(scene.bunches):
         if bunch.source is not None and not Path(bunch.source).exists():
@@ -54,9 +56,13 @@ def check_scene(scene: Scene, ranks: int, available: int | None = None) -> None:
                 "at the scene file)"
             )
     ExternalFields.of_scene(scene)
-    make_electrodes(scene)
     make_solids(scene)
-    _refuse(scene, base_boxes(scene), scene.particle_count(), ranks, available, "domain.cells")
+    boxes, free = base_boxes(scene), available_memory() if available is None else available
+    problem = rank_cells_error(all_cells(boxes), ranks)
+    problem = problem or memory_error(scene, boxes, scene.particle_count(), ranks, free, "domain.cells")
+    if problem is not None:
+        raise SceneError(f"{scene.name}: {problem}")
+    return describe_scene(scene)
 
 
 def require_room(
@@ -80,13 +86,3 @@ def require_room(
             f"{room / 2**30:.3g} GiB are free; use more machines, or fewer cells or particles"
         )
     raise_together(comm, None if problem is None else f"{scene.name}: {problem}", SceneError)
-
-
-def _refuse(
-    scene: Scene, boxes: Sequence[Array], particles: int, ranks: int, available: int | None, where: str
-) -> None:
-    free = available_memory() if available is None else available
-    problem = rank_cells_error(all_cells(boxes), ranks, where)
-    problem = problem or memory_error(scene, boxes, particles, ranks, free, where)
-    if problem is not None:
-        raise SceneError(f"{scene.name}: {problem}")

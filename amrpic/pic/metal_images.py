@@ -16,7 +16,7 @@ from ..particles.frame import LABORATORY, Frame
 from ..scene.electrodes import Electrode
 from ..stages.diagnostics import moments
 from ..units import VACUUM_PERMITTIVITY
-from .image_forces import rms_force
+from .charge_images import rms_force
 from .meshed import MeshedParticles
 from .remarks import LARGE
 from .setup import Setup

@@ -20,16 +20,14 @@ from ..stages import tag
 from ..stages.diagnostics import measure, quantities
 from ..units import Column, quantity
 from ..view.views import OVERVIEW, WITH_ELECTRODES
-from . import emission_map
-from .beam_tables import BeamTables, Diagnostic
-from .currents import Currents, columns_of
-from .fills import Fills
+from .beam_tables import BeamTables, Diagnostic, Fills
+from .driven_electrodes import Currents, columns_of
 from .leapfrog import synchronized
 from .loss_files import write_losses, write_screens
 from .restart import snapshot
 from .setup import Setup
 from .state import State
-from .tallies import SOURCES, TABLE
+from .tallies import EMISSION_MAP, MAP_COLUMNS, SOURCES, TABLE
 
 RESIDUALS = "residuals.csv"
 HISTORY = (  # of the solves: a row for each guess and each cycle
@@ -109,9 +107,9 @@ class ParticleRecorder(Recorder[State]):
         if self._beam is not None:
             self._beam.record_now(state)
         if self._sources is not None:
-            rows = emission_map.rows(self._scene, self._setup.emitters, state.tallies.of)
-            path = self._scene.directory / emission_map.EMISSION
-            time_series.write(self._comm, path, emission_map.COLUMNS, list(rows), self._about)
+            rows = state.tallies.map_rows(self._scene, self._setup.emitters)
+            path = self._scene.directory / EMISSION_MAP
+            time_series.write(self._comm, path, MAP_COLUMNS, list(rows), self._about)
 
     def _remarks(self, state: State) -> Iterable[str]:
         yield from super()._remarks(state)
@@ -167,7 +165,7 @@ class ParticleRecorder(Recorder[State]):
             )
 
     def _mesh(self, state: State) -> MeshFields:
-        return MeshFields(state.hierarchy, _shown(state), state.time, state.window)
+        return MeshFields(state.hierarchy, _shown(state), state.moment)
 
     def _snapshot(self, state: State) -> Snapshot:
         return snapshot(state, self._setup)
@@ -186,16 +184,8 @@ class ParticleRecorder(Recorder[State]):
             self._write_openpmd(state)
 
     def _write_particles(self, state: State) -> None:
-        openpmd_writer.write(
-            self._comm,
-            openpmd_writer.path_of(self._scene.directory, state.step),
-            state.synchronized,
-            state.step,
-            state.time,
-            self._about,
-            state.window,
-            writers=self._writers,
-        )
+        path = openpmd_writer.path_of(self._scene.directory, state.step)
+        openpmd_writer.write(self._comm, path, state.synchronized, state.moment, self._about, writers=self._writers)
 
     def _write_openpmd(self, state: State) -> None:
         """Write the view of a step's fields and particles for readers of openPMD, if the fields were written."""
@@ -209,10 +199,8 @@ class ParticleRecorder(Recorder[State]):
             _shown(state),
             vtkhdf_writer.path_of(directory, step),
             openpmd_writer.path_of(directory, step) if self._written.get("particles") == step else None,
-            step,
-            state.time,
+            state.moment,
             self._about,
-            state.window,
         )
 
     def _write_losses(self, state: State) -> None:

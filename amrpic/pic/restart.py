@@ -33,9 +33,9 @@ from ..stages.migrate import migrate
 from ..stages.poisson import SolveReport
 from ..stages.regrid import carry_over
 from .adapt import follow, make_base
+from .charge_images import mirrored
 from .course import Course
 from .field_functions import FieldFunction
-from .image_walls import mirrored
 from .leapfrog import gather_and_push
 from .limits import require_room
 from .meshed import MeshedParticles, deposit

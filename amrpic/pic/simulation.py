@@ -146,16 +146,8 @@ class Simulation(Run[State]):
         Collective; OutputError on all ranks.
         """
         state = synchronized(self.state, self._setup)
-        write_particles(
-            self.comm,
-            Path(path),
-            state.synchronized,
-            state.step,
-            state.time,
-            about(self.scene),
-            state.window,
-            writers=writers_of(self.scene),
-        )
+        run, writers = about(self.scene), writers_of(self.scene)
+        write_particles(self.comm, Path(path), state.synchronized, state.moment, run, writers=writers)
 
     @property
     def clock(self) -> Clock:

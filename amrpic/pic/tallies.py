@@ -13,10 +13,10 @@ from ..particles.species import Species, SpeciesTable
 from ..scene.scene import Scene
 from ..scene.sources import first_ids
 from ..units import Column
+from .emitters import Emitter
 
-SOURCES = "sources.csv"
 PARTS = 32  # of the map of a source, along either axis of its surface
-COLUMNS = ("source", "born_particles", "born_charge", "current")
+SOURCES = "sources.csv"
 TABLE = (
     Column("step", counts=True),
     Column("time", "s"),
@@ -24,6 +24,14 @@ TABLE = (
     Column("born_particles", counts=True),
     Column("born_charge", "C"),
     Column("current", "A"),  # mean of the latest step
+)
+EMISSION_MAP = "emission.csv"
+MAP_COLUMNS = (
+    Column("source", is_text=True),
+    Column("x", "m"),
+    Column("y", "m"),
+    Column("area", "m^2"),
+    Column("charge", "C"),
 )
 
 
@@ -67,7 +75,18 @@ class Tallies:
         """Yield what `SOURCES` has of each source, after a latest step of so many s."""
         for name, tally in zip(scene.source_names, self.of, strict=True):
             current = tally.latest / duration if duration > 0 else 0.0
-            yield dict(zip(COLUMNS, (name, tally.particles, tally.charge, current), strict=True))
+            yield {"source": name, "born_particles": tally.particles, "born_charge": tally.charge, "current": current}
+
+    def map_rows(self, scene: Scene, emitters: Sequence[Emitter]) -> Iterator[dict[str, float | str]]:
+        """Yield what `EMISSION_MAP` has: a row per source and part of its surface, with the middle along its own axes."""
+        for name, emitter, tally in zip(scene.source_names, emitters, self.of, strict=True):
+            if emitter.extent is None or not tally.map:
+                continue
+            lower, upper = emitter.extent
+            width = (upper - lower) / PARTS
+            for place, charge in zip(np.ndindex(PARTS, PARTS), tally.map, strict=True):
+                x, y = (lower + width * (np.array(place) + 0.5)).tolist()
+                yield {"source": name, "x": x, "y": y, "area": float(width.prod()), "charge": charge}
 
     def to_list(self) -> list[dict[str, Any]]:
         """Return what JSON can hold; numbers keep every bit."""

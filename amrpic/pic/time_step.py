@@ -12,9 +12,9 @@ import numpy as np
 
 from ..errors import InputError
 from ..external import fields_between, slopes
-from ..mesh.directions import axes
 from ..mesh.domain import AXES
 from ..mesh.hierarchy import Hierarchy
+from ..mesh.window import axes
 from ..mpi import MPI
 from ..parallel import from_rank_0
 from ..particles.clouds import Clouds

@@ -95,7 +95,8 @@ def compare(first: Path, second: Path) -> Comparison:
         ("losses", _losses),
     ):
         with contextlib.suppress(_Missing):
-            parts[name] = list(part(*runs))
+            if found := list(part(*runs)):
+                parts[name] = found
     return Comparison(list(differences(scenes[0], scenes[1])), parts, list(_speed(*tables)), remarks)
 
 
@@ -124,11 +125,11 @@ def _charge(run: Results) -> float:
 
 
 def _series(first: Table, second: Table, charge: float = 0.0) -> Iterator[Difference]:
-    """Compare the columns that both have, at the steps that both have; a step of one alone is a difference.
+    """Compare the columns that both have, at the moments that both have; one of one run alone is a difference.
 
     `charge`: of the largest group of particles, C.
     """
-    rows, alone = _in_both(first["step"], second["step"])
+    rows, alone = _in_both(_moments(first), _moments(second))
     yield _counted("steps", alone, "of one run alone")
     first, second = first[rows[0]], second[rows[1]]
     names = [
@@ -177,11 +178,26 @@ def _beam(first: Results, second: Results) -> Iterator[Difference]:
             yield Difference(f"{name} of {group}", _relative(a, b, scale)[0], f"at step {steps[-1]}")
 
 
-def _latest_common(steps: Sequence[Iterable[int]]) -> int:
-    common = set(steps[0]) & set(steps[1])
-    if not common:
+def _moments(table: Table) -> Table:
+    """Return what rows of two runs at the same moment share: the step or, of material points, whose steps differ, the load."""
+    return np.round(table["load"], 9) if "load" in (table.dtype.names or ()) else table["step"]
+
+
+def _latest_common(runs: Sequence[Results], dumps: Sequence[Iterable[int]]) -> list[int]:
+    """Return the step, in each run, of the latest moment of which both have a dump."""
+    first, second = map(_dumped, runs, dumps)
+    if not (common := first.keys() & second.keys()):
         raise _Missing
-    return max(common)
+    return [of_run[max(common)] for of_run in (first, second)]
+
+
+def _dumped(run: Results, steps: Iterable[int]) -> dict[float, int]:
+    """Return the steps of some dumps by their moments."""
+    if not run.of_points:
+        return {step: step for step in steps}
+    table = rows_of(run.folder)
+    table = table[np.isin(table["step"], list(steps))]
+    return dict(zip(_moments(table).tolist(), table["step"].tolist(), strict=True))
 
 
 def _fields(first: Results, second: Results, remarks: list[str]) -> Iterator[Difference]:
@@ -189,8 +205,8 @@ def _fields(first: Results, second: Results, remarks: list[str]) -> Iterator[Dif
 
     Those of the second are carried to it where meshes differ; where domains do, norms of both are compared.
     """
-    step = _latest_common([first.fields, second.fields])
-    of_first, of_second = first.fields[step], second.fields[step]
+    step, of_second_run = _latest_common([first, second], [first.fields, second.fields])
+    of_first, of_second = first.fields[step], second.fields[of_second_run]
     names = [name for name in of_first if name in of_second]
     if of_first.window != of_second.window:  # fields are compared place by place on the mesh
         way = float(np.abs(of_first.window.shift - of_second.window.shift).max())
@@ -246,11 +262,11 @@ def _particles(first: Results, second: Results) -> Iterator[Difference]:
     if first.of_points or second.of_points:
         raise _Missing
     dumps = [run._dumps(*PARTICLES) for run in (first, second)]
-    step = _latest_common(dumps)
-    dumped, dumped_second = (particle_reader.read(paths[step]) for paths in dumps)
+    steps = _latest_common([first, second], dumps)
+    dumped, dumped_second = (particle_reader.read(paths[step]) for paths, step in zip(dumps, steps, strict=True))
     of_first, of_second = dumped.particles, dumped_second.particles
     rows, alone = _in_both(of_first.id, of_second.id)
-    yield _counted("particles", alone, "of one run alone", f"at step {step}")
+    yield _counted("particles", alone, "of one run alone", f"at step {steps[0]}")
     of_first, of_second = of_first.select(rows[0]), of_second.select(rows[1])
     for quantity in ("position", "momentum"):
         distance = getattr(of_first, quantity) - getattr(of_second, quantity)
@@ -258,22 +274,22 @@ def _particles(first: Results, second: Results) -> Iterator[Difference]:
             quantity == "position" and dumped.domain is not None
         ):  # rounding may have taken one of two through a periodic face
             distance = np.stack([nearest(distance[:, d], dumped.domain.period(d)) for d in range(3)], axis=1)
-        yield _over_rms(f"{quantity} over its rms", distance, getattr(of_first, quantity), f"at step {step}")
+        yield _over_rms(f"{quantity} over its rms", distance, getattr(of_first, quantity), f"at step {steps[0]}")
 
 
 def _points(first: Results, second: Results) -> Iterator[Difference]:
     """Compare the material points of the latest step that both have, by their numbers."""
     dumps = [run._dumps("points_*.vtkhdf") for run in (first, second)]
-    step = _latest_common(dumps)
-    of_first, of_second = (points_writer.read(paths[step]) for paths in dumps)
+    steps = _latest_common([first, second], dumps)
+    of_first, of_second = (points_writer.read(paths[step]) for paths, step in zip(dumps, steps, strict=True))
     rows, alone = _in_both(of_first["id"], of_second["id"])
-    yield _counted("points", alone, "of one run alone", f"at step {step}")
+    yield _counted("points", alone, "of one run alone", f"at step {steps[0]}")
     for name in of_first:
         if name in of_second and name != "id":
             a, b = (
                 of_run[name][own].astype(float).ravel() for of_run, own in zip((of_first, of_second), rows, strict=True)
             )
-            yield Difference(f"{name} of points", _relative(a, b)[0], f"at step {step}")
+            yield Difference(f"{name} of points", _relative(a, b)[0], f"at step {steps[0]}")
 
 
 def _losses(first: Results, second: Results) -> Iterator[Difference]:

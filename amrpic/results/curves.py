@@ -69,14 +69,16 @@ def draw(table: Table, panels: Sequence[Panel], against: str = "step", unit: str
         )
         labels = [name.removeprefix("seconds_") for name in names]
         values = [table[name] / factor for name in names]
+        if panel.logarithmic:
+            values = [np.where(curve > 0, curve, np.nan) for curve in values]
         if panel.stacked:
             axis.stackplot(along, *values, labels=labels, step="mid")
         else:
             for name, curve in zip(labels, values, strict=True):
                 axis.plot(along, curve, label=name, marker="o" if len(along) == 1 else None)
-        if panel.logarithmic and all((curve > 0).any() for curve in values):
+        if panel.logarithmic:
             axis.set_yscale("log")
-        if not panel.unit and not panel.logarithmic:
+        elif not panel.unit:
             axis.yaxis.set_major_locator(MaxNLocator(integer=all(table[name].dtype.kind == "i" for name in names)))
         axis.set_ylabel(f"{panel.label} / {divisor(prefix, panel.unit)}" if panel.unit else panel.label)
         axis.grid(alpha=0.3)

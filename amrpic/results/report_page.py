@@ -13,8 +13,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from .. import tables
 from ..errors import InputError, OutputError
-from ..html import table
 from ..io import particle_reader, time_series
 from ..io.atomic_files import publish, temporary
 from ..io.field_reader import open_dump
@@ -118,11 +118,11 @@ def _head(series: Table, about: dict[str, Any], status: RunStatus | None) -> str
         ]
     rows += [("amrpic", f"{about['version']}, seed {about['seed']}")]
     if status is None:
-        return _wide(table((), rows))
+        return _wide(tables.html((), rows))
     rows[0] = ("step", f"{status.step} of {status.of}")
     rows += [("ranks", f"{status.ranks} on {status.host}"), ("from", status.started), ("to", status.updated)]
     why = f": {status.why}" if status.why else ""
-    return f'<p class="{status.state}"><b>{status.state}</b>{escape(why)}</p>{_wide(table((), rows))}'
+    return f'<p class="{status.state}"><b>{status.state}</b>{escape(why)}</p>{_wide(tables.html((), rows))}'
 
 
 def _last(series: Table, column: str) -> float:
@@ -159,7 +159,7 @@ def _beam(folder: Path, series: Table, scene: Scene) -> str:
         rows = [_group(row) for row in beam[beam["step"] == beam["step"].max(initial=0)]]
         head = ("group", "particles", "charge", "mean energy", "rms x, y, z", "emittance x, y, z")
         step = int(beam["step"].max(initial=0))
-        out += _wide(table(head, rows, f"Groups of particles at step {step}"))
+        out += _wide(tables.html(head, rows, f"Groups of particles at step {step}"))
     return out
 
 
@@ -201,7 +201,7 @@ def _solver(folder: Path, series: Table) -> str:
         history = history[history["step"] == history["step"].max(initial=0)]
         last = history[history["solve"] == history["solve"].max(initial=0)]
         rows = [(row["cycle"], f"{row['residual']:.2e}") for row in last]
-        out += _wide(table(("cycle", "residual"), rows, "The last solve"))
+        out += _wide(tables.html(("cycle", "residual"), rows, "The last solve"))
     return out
 
 
@@ -231,9 +231,9 @@ def _time(series: Table, status: RunStatus | None) -> str:
             for name in imbalances
         ),
     ]  # fmt: skip
-    stages_table = table(("stage", "time on the slowest rank", "share"), rows)
+    stages_table = tables.html(("stage", "time on the slowest rank", "share"), rows)
     return _image(curves.draw(series, panels if status is None or status.ranks > 1 else panels[:1]), "time") + _wide(
-        table((), facts) + stages_table
+        tables.html((), facts) + stages_table
     )
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .. import html
+from .. import tables
 from ..errors import InputError
 from ..io import openpmd_reader, particle_reader, time_series
 from ..io.atomic_files import REPLACED, TEMPORARY
@@ -86,7 +86,7 @@ class Results:
         return f"Results({str(self.path)!r}: {'; '.join(f'{attribute}: {content}' for attribute, content in self._content())})"
 
     def _repr_html_(self) -> str:
-        return html.table(("what", "there is"), self._content(), f"Results of {self.path}")
+        return tables.html(("what", "there is"), self._content(), f"Results of {self.path}")
 
     def _content(self) -> list[tuple[str, str]]:
         """What lies there, by the names of attributes that read it. Local."""
@@ -129,7 +129,8 @@ class Results:
     @cached_property
     def fields(self) -> Mapping[int, DumpedFields]:
         """The fields by step, of field files and, where there are none, of checkpoints."""
-        return Dumps(self.comm, self._dumps("fields_*.vtkhdf", "checkpoint_*"))
+        checkpoints = () if self.of_points else ("checkpoint_*",)
+        return Dumps(self.comm, self._dumps("fields_*.vtkhdf", *checkpoints))
 
     def particles(self, step: int | None = None) -> Particles:
         """Return this rank's share of the particles at a step, the latest if none is given, in the laboratory. Collective."""

@@ -25,19 +25,17 @@ WRITTEN = re.compile(  # what a run writes
 
 def prepare(comm: MPI.Comm, scene: AnyScene) -> None:
     """Make the folder that a scene writes into. Collective; OutputError on all ranks if that is not possible."""
-    directory = scene.directory
-    problem = None
-    if comm.rank == 0:
+    directory, trial = scene.directory, scene.directory / f".trial_{os.getpid()}"
+    with together(comm, OutputError):
         try:
-            directory.mkdir(parents=True, exist_ok=True)
-            trial = directory / f".trial_{os.getpid()}"
-            trial.touch()
-            trial.unlink()
+            if comm.rank == 0:
+                directory.mkdir(parents=True, exist_ok=True)
+                trial.touch()
+                trial.unlink()
         except OSError as reason:
-            problem = reason.strerror
-    problem = comm.bcast(problem)
-    if problem is not None:
-        raise OutputError(f"output folder {directory} cannot be written ({problem}); choose another one by --output")
+            raise OutputError(
+                f"output folder {directory} cannot be written ({reason.strerror}); choose another one by --output"
+            ) from None
 
 
 def claimed(comm: MPI.Comm, scene: AnyScene) -> AbstractContextManager[object]:

@@ -12,13 +12,12 @@ from ..errors import AmrpicError, InputError, OutputError
 from ..io import checkpoint, checkpoint_folder, vtkhdf_writer
 from ..io.checkpoint import Snapshot
 from ..io.field_reader import LiveDump
-from ..io.provenance import about
-from ..io.run_status import FINISHED, STOPPED
+from ..io.provenance import Moment, about
+from ..io.run_status import FINISHED, STOPPED, Status
 from ..io.time_series import Series, settle
 from ..io.writer_ranks import writers_of
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
-from ..mesh.window import AT_REST, Window
 from ..mpi import MPI
 from ..parallel import together
 from ..results.run_results import SERIES
@@ -29,7 +28,6 @@ from ..view.views import View
 from .clock import Clock
 from .folder import set_aside
 from .log import Log, RunLog, StepLine
-from .status import Status
 
 
 class Recorded(Protocol):
@@ -48,8 +46,7 @@ class MeshFields(NamedTuple):
 
     hierarchy: Hierarchy
     fields: Mapping[str, Field | VectorField]
-    time: float  # s, or the part of the load
-    window: Window = AT_REST
+    moment: Moment
 
 
 class Recorder(ABC, Generic[StateT]):
@@ -247,10 +244,8 @@ class Recorder(ABC, Generic[StateT]):
     def _write_fields(self, state: StateT) -> None:
         directory, mesh = self._scene.directory, self._mesh(state)
         path = vtkhdf_writer.path_of(directory, state.step)
-        vtkhdf_writer.write(
-            path, mesh.hierarchy, mesh.fields, state.step, mesh.time, self._about, self._writers, mesh.window
-        )
-        vtkhdf_writer.list_time(self._comm, directory, state.step, mesh.time)
+        vtkhdf_writer.write(path, *mesh, self._about, self._writers)
+        vtkhdf_writer.list_time(self._comm, directory, mesh.moment)
 
     def _write_checkpoint(self, state: StateT) -> None:
         for table in self._tables():
@@ -262,11 +257,9 @@ class Recorder(ABC, Generic[StateT]):
 
     def _draw(self, state: StateT, stop: Callable[[], str | None]) -> str | None:
         """Draw what a field file of a state shows, or would show, until `stop()` gives a reason, which is returned."""
-        mesh, directory = self._mesh(state), self._scene.directory
+        directory = self._scene.directory
         path = vtkhdf_writer.path_of(directory, state.step)
-        text = self._about.scene_text
-        dump = LiveDump(path, mesh.hierarchy, mesh.fields, state.step, mesh.time, text, mesh.window)
-        pictures = drawn(dump, directory, self.views)
+        pictures = drawn(LiveDump(path, *self._mesh(state), self._about.scene_text), directory, self.views)
         for _ in self.views:
             if (reason := stop()) is not None:
                 return reason

@@ -20,45 +20,28 @@ MIB = 2**20
 
 def table(runs: Sequence[Measured]) -> list[list[str]]:
     """Return a row per kind and number of ranks, under a head: each kind against its fewest ranks."""
-    rows = [
-        [
-            "",
-            "ranks",
-            "cells",
-            "particles",
-            "cycles",
-            "ms per step",
-            "faster",
-            "efficiency",
-            "of solve",
-            "cells max/mean",
-            "particles max/mean",
-            "MiB per rank",
-            "steps",
-        ]
-    ]
+    rows = []
     for kind, all_ in by_kind(runs).items():
         first = all_[0]
         for run in all_:
-            solve = f"{efficiency(first, run, 'solve'):.0%}" if "solve" in run.stages else "-"
             rows.append(
-                [
-                    kind,
-                    f"{run.ranks}",
-                    f"{run.cells}",
-                    f"{run.particles}",
-                    f"{run.cycles:g}",
-                    f"{1000.0 * run.seconds:.4g}",
-                    f"{first.seconds / run.seconds:.2f}",
-                    f"{efficiency(first, run):.0%}",
-                    solve,
-                    f"{run.cell_imbalance:.2f}",
-                    f"{run.particle_imbalance:.2f}",
-                    f"{run.memory[2] / MIB:.0f}",
-                    f"{run.steps}",
-                ]
+                {
+                    "": kind,
+                    "ranks": f"{run.ranks}",
+                    "cells": f"{run.cells}",
+                    "particles": f"{run.particles}",
+                    "cycles": f"{run.cycles:g}",
+                    "ms per step": f"{1000.0 * run.seconds:.4g}",
+                    "faster": f"{first.seconds / run.seconds:.2f}",
+                    "efficiency": f"{efficiency(first, run):.0%}",
+                    "of solve": f"{efficiency(first, run, 'solve'):.0%}" if "solve" in run.stages else "-",
+                    "cells max/mean": f"{run.cell_imbalance:.2f}",
+                    "particles max/mean": f"{run.particle_imbalance:.2f}",
+                    "MiB per rank": f"{run.memory[2] / MIB:.0f}",
+                    "steps": f"{run.steps}",
+                }
             )
-    return rows
+    return [list(rows[0]), *(list(row.values()) for row in rows)]
 
 
 def stage_table(run: Measured) -> list[list[str]]:

@@ -17,7 +17,7 @@ from .complaints import refusal
 from .section import Section
 
 if TYPE_CHECKING:
-    from .output import Files
+    from .run_sections import Files
 
 
 class Steps(Protocol):

@@ -11,10 +11,10 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from ..errors import InputError
-from ..mesh.directions import axes
+from ..mesh.window import axes
 from .bunches import Bunch, DescribedBunch
 from .complaints import complaint
-from .species_of_bunches import Species
+from .real_particle import Species
 from .units import Angle, Length3
 
 ParticleFile = Annotated[str, Field(description="The file; a relative path starts at the scene file.")]
@@ -118,9 +118,7 @@ class ArrayBunch(MovedBunch, DescribedBunch):
             self.refuse("position", "is missing", "give arrays from Python, or file = an .npz that holds them")
         without_charge = self.charge is None and self.particle_charge is None
         if self.position is not None and self.self_field and (self.weight is None) == without_charge:
-            raise complaint(
-                "must be given, or else charge", "keep one of the two", path="weight", found="both or neither"
-            )
+            self.refuse("weight", "must be given, or else charge", "keep one of the two", found="both or neither")
         return self
 
     @property

@@ -37,7 +37,7 @@ class TwissPlane(Section):
 
     @model_validator(mode="after")
     def _one_size(self) -> Self:
-        self.refuse_pair("beta", "sigma")
+        self.require_one("beta", "sigma")
         if self.sigma == 0 and self.emittance > 0:
             self.refuse("sigma", "is zero although the emittance is not", "give a size")
         return self
@@ -77,8 +77,7 @@ class SizedBunch(Train):
 
     @model_validator(mode="after")
     def _one_size(self) -> Self:
-        if self.sigma is None and self.twiss is None:
-            self.refuse("sigma", "is missing", 'add the rms size, such as sigma = "2 mm", or twiss')
+        self.require_one("sigma", "twiss", remedy='add the rms size, such as sigma = "2 mm", or twiss')
         for axis, sigma in enumerate(self.sigma or ()):
             refuse_negative(f"sigma.{axis}", sigma, "m")
         if self.twiss is not None:
@@ -86,8 +85,6 @@ class SizedBunch(Train):
         return self
 
     def _check_twiss(self, twiss: Twiss) -> None:
-        if self.sigma is not None:
-            self.refuse("sigma", "is given as well as twiss", "keep one of the two")
         if any(self.momentum_spread):
             self.refuse("momentum_spread", "is given as well as twiss, whose emittances give it", "keep one of the two")
         for axis in "xyz":

@@ -9,7 +9,6 @@ from pydantic import Field, model_validator
 
 from ..particles.phase_space import PhasePlane
 from ..particles.uniform_numbers import BITS, Sampling
-from .complaints import complaint
 from .real_particle import RealParticle
 from .section import Section, refuse_negative
 from .units import Charge, Index3, Length3, Momentum3
@@ -63,8 +62,7 @@ class DescribedBunch(RealParticle, Bunch):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if self.charge is not None and self.particle_charge is not None:
-            self.refuse("particle_charge", "is given as well as charge", "keep one of the two")
+        self.require_at_most_one("particle_charge", "charge")
         key = "charge" if self.particle_charge is None else "particle_charge"
         value = getattr(self, key)
         if value is not None and value * self.species.charge < 0:
@@ -75,9 +73,7 @@ class DescribedBunch(RealParticle, Bunch):
             )
         if value is not None and self.self_field and self.number > 0 and (value == 0 or self.species.charge == 0):
             where = key if value == 0 else "species.charge"
-            raise complaint(
-                "makes every particle's charge zero", "give a charge, or particles = 0", path=where, found=0.0
-            )
+            self.refuse(where, "makes every particle's charge zero", "give a charge, or particles = 0", found=0.0)
         return self
 
     @property

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Iterator, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple, TypeVar
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from ..errors import SceneError
+
+ModelT = TypeVar("ModelT", bound=BaseModel)
 
 
 class RefusedScene(SceneError):
@@ -43,7 +45,16 @@ class Mistake(NamedTuple):
     remedy: str
 
 
-def mistakes(refused: ValidationError, model: type[BaseModel]) -> list[Mistake]:
+def settings(model: type[ModelT], values: Mapping[str, Any], error: type[Exception]) -> ModelT:
+    """Return values of keys as the model that checks them; `error` names the first mistake of arguments that are wrong."""
+    try:
+        return model.model_validate(values)
+    except ValidationError as refused:
+        mistake = _mistakes(refused, model)[0]
+        raise error(f"{mistake.path} is {mistake.found!r}, which {mistake.what}; {mistake.remedy}") from None
+
+
+def _mistakes(refused: ValidationError, model: type[BaseModel]) -> list[Mistake]:
     """Return the mistakes that made a model refuse its input."""
     schema = model.model_json_schema()
     return [_mistake(error, schema) for error in refused.errors(include_url=False)]
@@ -51,7 +62,7 @@ def mistakes(refused: ValidationError, model: type[BaseModel]) -> list[Mistake]:
 
 def sentences(refused: ValidationError, source: str, model: type[BaseModel]) -> list[str]:
     """Return a sentence for each error of a model; `source` names the file or object that was to be read."""
-    return [_sentence(source, *mistake) for mistake in mistakes(refused, model)]
+    return [_sentence(source, *mistake) for mistake in _mistakes(refused, model)]
 
 
 def _sentence(source: str, path: str, found: Any, what: str, remedy: str) -> str:

@@ -10,9 +10,8 @@ from pydantic import BeforeValidator, Field, WithJsonSchema, model_validator
 from ..errors import HierarchyError
 from ..mesh.domain import AXES, BOUNDARIES, FACES, Domain
 from ..mesh.rims import rims_of
-from .boundary_values import Function, Potentials, Slopes, require_kind, wall_function
+from .boundary_values import Function, Potentials, Slopes, pairs_of, require_kind, schema_of, wall_function
 from .complaints import close_match, complaint, complaint_of
-from .per_face import pairs_of, schema_of
 from .section import Section
 from .units import Index3, Length3
 

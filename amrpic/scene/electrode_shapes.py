@@ -206,7 +206,7 @@ class RevolvedShape(InFile):
 
     def _check(self) -> None:
         super()._check()
-        self.refuse_pair("points", "file")
+        self.require_one("points", "file")
 
     def _as_given(self) -> shapes.Shape:
         points = self.points

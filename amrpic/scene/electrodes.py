@@ -50,14 +50,15 @@ class Electrode:
         if (self.voltage is None) == (self.charge is None):
             drives = "neither a voltage nor" if self.charge is None else "both a voltage and"
             raise InputError(f"{where} has {drives} a charge; give a voltage, or the charge of one that floats")
-        if self.charge is not None:
-            object.__setattr__(self, "charge", _quantity(f"{where}: its charge", self.charge, "charge"))
-        elif _is_formula(self.voltage):
-            self._check_formula(where)
-            if not re.search(r"\bt\b", str(self.voltage)):
-                object.__setattr__(self, "voltage", self.voltage_at(0.0))
-        else:
-            object.__setattr__(self, "voltage", _quantity(f"{where}: its voltage", self.voltage, "potential"))
+        key = "voltage" if self.charge is None else "charge"
+        try:
+            value = _voltage(self.voltage) if self.charge is None else to_si(self.charge, "charge")
+        except PydanticCustomError as refused:
+            context = refused.context or {}
+            raise InputError(
+                f"{where}: its {key} ({getattr(self, key)!r}) {context['what']}; {context['remedy']}"
+            ) from None
+        object.__setattr__(self, key, value)
 
     @property
     def floats(self) -> bool:
@@ -88,12 +89,6 @@ class Electrode:
         with np.errstate(all="ignore"):
             return np.broadcast_to(np.asarray(formula(_in_si(str(self.voltage)), "t")(times), dtype=float), times.shape)
 
-    def _check_formula(self, where: str) -> None:
-        try:
-            self.voltage_at(0.0)
-        except PydanticCustomError as refused:
-            raise InputError(f'{where}: its voltage "{self.voltage}" {_said(refused)}') from None
-
 
 def _is_formula(voltage: Any) -> bool:
     """Whether a voltage is more than a quantity."""
@@ -104,22 +99,8 @@ def _in_si(text: str) -> str:
     return _IN_FORMULA.sub(lambda match: f"({match[1]}*{_UNITS[match[2]]!r})", text)
 
 
-def _quantity(where: str, value: Any, kind: str) -> float:
-    try:
-        return to_si(value, kind)
-    except PydanticCustomError as refused:
-        raise InputError(f"{where} ({value!r}) {_said(refused)}") from None
-
-
-def _said(refused: PydanticCustomError) -> str:
-    context = refused.context or {}
-    return f"{context['what']}; {context['remedy']}"
-
-
-# ---- the section [[electrodes]] ----
-
-
 def _voltage(value: Any) -> float | str:
+    """Return a voltage in V, or the formula of t that it is. Complains of what is neither, or not finite at the start."""
     if not _is_formula(value):
         return to_si(value, "potential")
     with np.errstate(all="ignore"):
@@ -127,6 +108,9 @@ def _voltage(value: Any) -> float | str:
     if not math.isfinite(at_start):
         raise complaint(f"is {at_start} at t = 0 s", "write a formula that is finite throughout", found=value)
     return value if re.search(r"\bt\b", value) else at_start
+
+
+# ---- the section [[electrodes]] ----
 
 
 VoltageOfTime = Annotated[
@@ -152,7 +136,7 @@ class ElectrodeSection(Obstacle):
 
     @model_validator(mode="after")
     def _one_drive(self) -> Self:
-        self.refuse_pair("voltage", "charge", "give a voltage, or the charge of one that floats")
+        self.require_one("voltage", "charge", remedy="give a voltage, or the charge of one that floats")
         return self
 
     @property

@@ -10,7 +10,6 @@ from pydantic import Field, model_validator
 
 from ..particles.species import Species
 from ..units import SPEED_OF_LIGHT
-from .complaints import complaint
 from .section import Section
 from .units import (
     Angle,
@@ -95,7 +94,7 @@ class ConstantFocusingElement(PossiblyEverywhere):
 
     @model_validator(mode="after")
     def _one_strength(self) -> Self:
-        self.refuse_pair("gradient", "wavenumber")
+        self.require_one("gradient", "wavenumber")
         return self
 
     def gradient_for(self, species: Species, momentum: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -269,7 +268,7 @@ class CavityElement(OscillatingElement):
     def _oscillates(self) -> Self:
         if self.frequency == 0:
             remedy = "add it; a cavity's radius follows from it"
-            raise complaint("is missing", remedy, path="frequency", found="nothing")
+            self.refuse("frequency", "is missing", remedy, found="nothing")
         return self
 
 

@@ -11,7 +11,6 @@ from pydantic import Field, model_validator
 
 from ..particles import emission
 from ..units import SPEED_OF_LIGHT
-from .complaints import complaint
 from .section import Section
 from .units import Energy, Momentum3
 
@@ -87,11 +86,8 @@ class ThreeStepMomenta(Emitted):
     @model_validator(mode="after")
     def _frees_electrons(self) -> Self:
         if self.photon_energy <= self.work_function:
-            raise complaint(
-                "does not exceed the work function, so that no electron leaves",
-                "give a larger one",
-                path="photon_energy",
-                found=self.photon_energy,
+            self.refuse(
+                "photon_energy", "does not exceed the work function, so that no electron leaves", "give a larger one"
             )
         return self
 

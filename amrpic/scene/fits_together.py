@@ -6,7 +6,7 @@ import math
 
 from ..mesh.domain import AXES, FACES
 from .bunches import DescribedBunch
-from .complaints import close_match, complaint
+from .complaints import close_match
 from .domain_section import LARGEST_INDEX
 from .elements import ConstantFocusingElement
 from .injection import InjectionSource
@@ -67,11 +67,10 @@ def _cells(scene: SceneParts) -> None:
                 "use fewer levels, or move the domain nearer to 0",
             )
         if number * 2**levels > LARGEST_INDEX:
-            raise complaint(
+            scene.refuse(
+                f"domain.cells.{axis}",
                 f"makes {number * 2**levels} cells on the finest level, more than 32 bits count",
                 "use fewer base cells or levels",
-                path=f"domain.cells.{axis}",
-                found=number,
             )
     if (rows := int(cells[0]) * int(cells[1]) * int(cells[2])) > LARGEST_ROW:
         scene.refuse(
@@ -92,10 +91,10 @@ def _box(scene: SceneParts, box: StaticBox, path: str) -> None:
         last = scene.domain.cells[axis] * 2**box.level - 1
         outside = box.first and box.last and (box.first[axis] < 0 or box.last[axis] > last)
         if outside and not scene.domain.value.periodic[axis]:
-            raise complaint(
+            scene.refuse(
+                path,
                 f"leaves the domain, whose cells of level {box.level} reach from 0 to {last} along {AXES[axis]}",
                 "move it inside",
-                path=path,
                 found=[box.first, box.last],
             )
 
@@ -106,17 +105,12 @@ def _conductors(scene: SceneParts) -> None:
         if not isinstance(rule, RuleOfElectrodes):
             continue
         if not names:
-            raise complaint(
-                "refines at electrodes, of which the scene has none",
-                "add some, or use another rule",
-                path=f"{path}.kind",
-                found=rule.kind,
+            scene.refuse(
+                f"{path}.kind", "refines at electrodes, of which the scene has none", "add some, or use another rule"
             )
         for number, name in enumerate(rule.electrodes or ()):
             if name not in names:
-                raise complaint(
-                    "names no electrode", close_match(name, names), path=f"{path}.electrodes.{number}", found=name
-                )
+                scene.refuse(f"{path}.electrodes.{number}", "names no electrode", close_match(name, names))
 
 
 def _places(scene: SceneParts) -> None:
@@ -125,11 +119,11 @@ def _places(scene: SceneParts) -> None:
             for axis in range(3):
                 inside = scene.domain.lower[axis] <= place[axis] <= scene.domain.upper[axis]
                 if not (inside or scene.domain.value.periodic[axis]):
-                    raise complaint(
+                    scene.refuse(
+                        f"bunches.{number}.centre",
                         f"puts a bunch outside the domain, at {AXES[axis]} = {place[axis]:g} m where it reaches "
                         f"from {scene.domain.lower[axis]:g} to {scene.domain.upper[axis]:g} m",
                         "move the bunch or enlarge the domain",
-                        path=f"bunches.{number}.centre",
                         found=list(place),
                     )
 
@@ -172,10 +166,10 @@ def _electrodes(scene: SceneParts) -> None:
     if scene.solver.order != 2:
         scene.refuse("solver.order", "does not know electrodes", "set it to 2")
     if scene.domain.value.singular and scene.fixes_no_potential:
-        raise complaint(
+        scene.refuse(
+            "electrodes",
             "float all between periodic and neumann faces, so that nothing fixes the potential",
             "give one of them a voltage, or a face one",
-            path="electrodes",
             found="",
         )
 
@@ -186,11 +180,10 @@ def _elements(scene: SceneParts) -> None:
             continue
         first = scene.bunches[0] if scene.bunches else None
         if not isinstance(first, DescribedBunch) or not any(first.mean_momentum) or first.species.charge == 0:
-            raise complaint(
+            scene.refuse(
+                f"elements.{number}.wavenumber",
                 "needs a first bunch whose species is charged and whose mean momentum is not zero, both in the scene",
                 "give it one, or the element a gradient",
-                path=f"elements.{number}.wavenumber",
-                found=list(element.wavenumber),
             )
 
 
@@ -210,18 +203,16 @@ def _window(scene: SceneParts) -> None:
     for kind, per_face in (("potential", scene.domain.potential), ("slope", scene.domain.slope)):
         for name, pair in per_face.items():
             if axis is not None and any(pair):
-                raise complaint(
+                scene.refuse(
+                    f"domain.{kind}.{name}",
                     "has an image in the wall that the window leaves behind, which is not known",
                     f"give the field as an element, or make the faces of {AXES[axis]} open",
-                    path=f"domain.{kind}.{name}",
-                    found=list(pair),
                 )
             if any(isinstance(value, str) for value in pair):
-                raise complaint(
+                scene.refuse(
+                    f"domain.{kind}.{name}",
                     "is a formula, which the window would take along",
                     "give numbers, or the field as an element",
-                    path=f"domain.{kind}.{name}",
-                    found=list(pair),
                 )
 
 
@@ -229,11 +220,10 @@ def _wall_behind(scene: SceneParts, axis: str, ahead: int) -> None:
     """Raise a complaint if there is a wall ahead of the window: a plane behind it mirrors from where it stays."""
     faces = scene.domain.boundary[axis]
     if faces[ahead] != "open":
-        raise complaint(
+        scene.refuse(
+            f"domain.boundary.{axis}",
             "has a wall ahead of the window, which would take it along",
             f"make the {('lower', 'upper')[ahead]} face open; a wall behind the window may stay, and is left there",
-            path=f"domain.boundary.{axis}",
-            found=list(faces),
         )
 
 
@@ -250,20 +240,17 @@ def _names(scene: SceneParts) -> None:
         for number, name in repeated_names(names, reserved):
             has_it = "a face of the domain" if name in FACES else f"one of the {key} before it"
             has_it = "an aperture" if key == "electrodes" and name in apertures else has_it
-            raise complaint(
-                f"is the name of {has_it} already",
-                "give each one of its own",
-                path=f"{key}.{number}.name",
-                found=name,
+            scene.refuse(
+                f"{key}.{number}.name", f"is the name of {has_it} already", "give each one of its own", found=name
             )
 
 
 def _sources(scene: SceneParts) -> None:
     if scene.sources and not scene.motion.follows_fields:
-        raise complaint(
+        scene.refuse(
+            "sources",
             f'have particles that move, and motion.kind is "{scene.motion.kind}"',
             'set motion.kind to "leapfrog"',
-            path="sources",
             found="",
         )
     for number, source in enumerate(scene.sources):
@@ -273,11 +260,10 @@ def _sources(scene: SceneParts) -> None:
         face = source.face_number
         kind = None if face is None else scene.domain.value.boundary[face // 2][face % 2]
         if (isinstance(source, WallSource) or source.is_limited) and kind != "dirichlet":
-            raise complaint(
+            scene.refuse(
+                f"sources.{number}.face",
                 f"is {kind}, where the field at it does not decide on what is emitted",
                 'make that face of domain.boundary dirichlet, or give the charge of the source (process = "given")',
-                path=f"sources.{number}.face",
-                found=source.face,
             )
         if kind == "dirichlet" and scene.solver.order != 2:
             scene.refuse(
@@ -291,22 +277,14 @@ def _on_electrode(scene: SceneParts, source: Source, path: str) -> None:
     """Raise a complaint if a source is on an electrode that cannot emit."""
     names = [electrode.name for electrode in scene.electrodes]
     if source.electrode not in names:
-        raise complaint(
-            "names no electrode",
-            close_match(str(source.electrode), names),
-            path=f"{path}.electrode",
-            found=source.electrode,
-        )
+        scene.refuse(f"{path}.electrode", "names no electrode", close_match(str(source.electrode), names))
     if isinstance(source, InjectionSource):
-        raise complaint(
-            "injects no beam from elsewhere", "give a face or a plane", path=f"{path}.electrode", found=source.electrode
-        )
+        scene.refuse(f"{path}.electrode", "injects no beam from elsewhere", "give a face or a plane")
     if scene.motion.window != "none":
-        raise complaint(
+        scene.refuse(
+            f"{path}.electrode",
             "emits where a window would leave it, which electrodes do not",
             'set motion.window to "none"',
-            path=f"{path}.electrode",
-            found=source.electrode,
         )
 
 
@@ -314,10 +292,10 @@ def _emission_rule(scene: SceneParts) -> None:
     emits = any(source.face is not None for source in scene.sources)
     for path, rule in every_rule(scene.refinement.rule):
         if isinstance(rule, EmissionRule) and not emits:
-            raise complaint(
+            scene.refuse(
+                f"refinement.{path}",
                 "refines at faces that sources emit from, and none does",
                 "name a face of [[sources]], or choose another rule",
-                path=f"refinement.{path}",
                 found=rule.kind,
             )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import scipy
@@ -12,10 +12,17 @@ from pydantic import Field, model_validator
 from ..particles import distributions
 from ..units import SPEED_OF_LIGHT
 from .bunch_shapes import TwissPlane
-from .complaints import complaint
 from .emitted_momenta import AnyMomenta, BeamMomenta, ColdMomenta
 from .section import Section
-from .sources import GivenSource, OfSpecies
+from .sources import (
+    FieldSource,
+    FileSource,
+    GivenSource,
+    OfSpecies,
+    PhotoSource,
+    SpaceChargeLimitedSource,
+    ThermionicSource,
+)
 from .spots import AnySpot, Pair
 from .units import Energy
 
@@ -48,7 +55,7 @@ class InjectionSource(GivenSource):
     def _by_twiss(self) -> Self:
         for key in ("spot", "momenta"):
             if key in self.model_fields_set and getattr(self, key) not in (None, ColdMomenta()):
-                raise complaint("is given as well as twiss", "leave it out", path=key, found=getattr(self, key))
+                self.refuse(key, "is given as well as twiss", "leave it out")
         return self
 
     @property
@@ -106,10 +113,22 @@ class FunctionSource(OfSpecies):
     @model_validator(mode="after")
     def _can_be_called(self) -> Self:
         if not callable(self.function):
-            raise complaint(
+            self.refuse(
+                "function",
                 "is no Python function, which no file or checkpoint keeps",
                 "pass the scene from Python with function=…, at a restart by Simulation.restart(comm, path, scene)",
-                path="function",
-                found="nothing" if self.function is None else self.function,
             )
         return self
+
+
+AnySource = Annotated[
+    GivenSource
+    | PhotoSource
+    | InjectionSource
+    | FileSource
+    | FunctionSource
+    | SpaceChargeLimitedSource
+    | ThermionicSource
+    | FieldSource,
+    Field(discriminator="process"),
+]

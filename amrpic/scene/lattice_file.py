@@ -12,13 +12,12 @@ from pydantic import Field, model_validator
 from ..errors import InputError
 from ..lattice import madx, pals
 from ..lattice.convert import Converted, LatticeSettings, converted
-from ..lattice.orbit import OrbitFrame
-from ..lattice.pieces import Beamline, LatticeReference
-from ..mesh.directions import axes
+from ..lattice.pieces import Beamline, LatticeReference, OrbitFrame
+from ..mesh.window import axes
 from ..particles.species import SPECIES
 from ..units import SPEED_OF_LIGHT
+from .real_particle import Species
 from .section import Section
-from .species_of_bunches import Species
 from .units import Energy, Length, Length3
 
 PALS = (".yaml", ".yml")

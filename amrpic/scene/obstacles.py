@@ -11,7 +11,7 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from ..mesh.directions import axes
+from ..mesh.window import axes
 from ..shapes import Box, Cylinder, Shape
 from ..shapes.shape import placed
 from .electrode_shapes import ShapeKind
@@ -139,7 +139,7 @@ class Screen(Turned):
 
     @model_validator(mode="after")
     def _one_place(self) -> Self:
-        self.refuse_pair("z", "centre", "give z, or centre and direction")
+        self.require_one("z", "centre", remedy="give z, or centre and direction")
         if self.z is not None and not (self.is_along_z and self.reach is None):
             self.refuse("z", "is that of a plane across z", "give centre in place of z for others")
         return self

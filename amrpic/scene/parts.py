@@ -12,21 +12,18 @@ from ..mesh.domain import AXES
 from ..mesh.mirror import SIGNS
 from ..mesh.window import vector
 from .any_scene import AnyScene
-from .any_source import AnySource
 from .bunch_files import ArrayBunch, OpenPMDBunch
 from .bunch_shapes import GaussianBunch, HaloBunch, HollowBunch, KVBunch, ParabolicBunch, SphereBunch, WaterbagBunch
 from .bunches import DescribedBunch, LatticeBunch
-from .diagnostics_section import Diagnostics
 from .domain_section import DomainSection
 from .electrodes import ApertureMetal, ElectrodeSection, apertures_of_metal
 from .elements import AnyElement
+from .injection import AnySource
 from .lattice_file import LatticeSection
 from .motion import Motion, NoMotion, Reference
 from .obstacles import AnyAperture, Screen
-from .output import Output
-from .particles_section import ParticlesSection
 from .refinement import Refinement
-from .schedule import Schedule
+from .run_sections import Diagnostics, Output, ParticlesSection, Schedule
 from .solver_options import SolverSection
 from .thermal_bunch import ThermalBunch
 

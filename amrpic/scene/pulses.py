@@ -10,7 +10,6 @@ import numpy as np
 import scipy
 from pydantic import Field, model_validator
 
-from .complaints import complaint
 from .section import Section
 from .units import Time
 
@@ -154,16 +153,13 @@ class TablePulse(TabulatedPulse):
     @model_validator(mode="after")
     def _table(self) -> Self:
         if len(self.values) != len(self.times):
-            raise complaint(
-                f"has {len(self.values)} members, times has {len(self.times)}",
-                "give one for each",
-                path="values",
-                found="",
+            self.refuse(
+                "values", f"has {len(self.values)} members, times has {len(self.times)}", "give one for each", found=""
             )
         if self.times[0] != 0 or not (np.diff(self.times) > 0).all():
-            raise complaint("do not ascend from 0", "sort them, and move the rest into start", path="times", found="")
+            self.refuse("times", "do not ascend from 0", "sort them, and move the rest into start", found="")
         if not any(self.values):
-            raise complaint("are all zero", "give a current", path="values", found="")
+            self.refuse("values", "are all zero", "give a current", found="")
         return self
 
     @property

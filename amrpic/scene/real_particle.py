@@ -1,17 +1,65 @@
-"""A real particle of a scene: its species and how it moves."""
+"""A real particle of a scene: its species, which is a name, or charge and mass, and how it moves."""
 
 from __future__ import annotations
 
 import math
-from typing import Self
+from dataclasses import asdict
+from typing import Annotated, Any, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler, model_validator
+from pydantic_core import CoreSchema, core_schema
 
+from ..particles import species
 from ..particles.species import LARGEST_MOMENTUM, SPECIES
 from ..units import SPEED_OF_LIGHT
+from .complaints import close_match, complaint
 from .section import Section
-from .species_of_bunches import Species
-from .units import Energy, Momentum3, Velocity3
+from .units import Charge, Energy, Mass, Momentum3, Velocity3
+
+
+class SpeciesSection(Section):
+    """One real particle; momentum and weight of the macroparticles refer to it."""
+
+    name: str = Field(default="", description="Its name in the outputs; filled in for those that are known by name.")
+    charge: Charge = Field(description="Charge of one real particle, C.")
+    mass: Mass = Field(gt=0, description="Mass of one real particle, kg; motion divides by it.")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _by_name(cls, data: Any) -> Any:
+        if isinstance(data, species.Species):
+            return asdict(data)
+        if not isinstance(data, str):
+            return data
+        if data not in species.SPECIES:
+            raise complaint(
+                "is not a known species",
+                f"give its charge and mass, or a name; {close_match(data, species.SPECIES)}",
+                found=data,
+            )
+        return asdict(species.SPECIES[data])
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return {"anyOf": [{"enum": list(species.SPECIES)}, handler(schema)]}
+
+
+class _FromSection:
+    """Annotation of a field that holds a species and is written as `SpeciesSection`."""
+
+    @staticmethod
+    def __get_pydantic_core_schema__(source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_after_validator_function(
+            lambda section: species.Species(**dict(section)),
+            handler.generate_schema(SpeciesSection),
+            serialization=core_schema.plain_serializer_function_ser_schema(asdict),
+        )
+
+
+Species = Annotated[species.Species, _FromSection]
+
+
+MOMENTUM = ("kinetic_energy", "velocity", "momentum")  # the keys that give it
 
 
 class RealParticle(Section):
@@ -33,10 +81,7 @@ class RealParticle(Section):
 
     @model_validator(mode="after")
     def _one_momentum(self) -> Self:
-        keys = [key for key in ("momentum", "velocity", "kinetic_energy") if getattr(self, key) is not None]
-        if len(keys) > 1:
-            first, second = keys[:2]
-            self.refuse(second, f"is given as well as {first}", "keep one of the two")
+        self.require_at_most_one(*MOMENTUM)
         if self.direction is not None and (self.kinetic_energy is None or not any(self.direction)):
             reason = (
                 "has no length" if self.kinetic_energy is not None else "is that of a kinetic_energy, which is missing"
@@ -48,7 +93,7 @@ class RealParticle(Section):
         over_mc = math.hypot(*self.mean_momentum) / (self.species.mass * SPEED_OF_LIGHT)
         if over_mc > LARGEST_MOMENTUM:
             self.refuse(
-                keys[0],
+                self.given(*MOMENTUM)[0],
                 f"is {over_mc:.3g} m c of its species, more than {LARGEST_MOMENTUM:g}",
                 'plain numbers are SI; give a unit, such as "100 MeV/c" or "100 MeV"',
             )

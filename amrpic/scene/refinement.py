@@ -6,7 +6,6 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
-from .complaints import complaint
 from .refinement_rules import ChargeDensityRule, RuleCombination, RuleKind, StaticRule, every_rule
 from .section import Section
 
@@ -74,18 +73,16 @@ class Refinement(Section):
             if isinstance(rule, StaticRule):
                 for index, box in enumerate(rule.boxes):
                     if box.level > self.levels:
-                        raise complaint(
+                        self.refuse(
+                            f"{path}.boxes.{index}.level",
                             f"lies above the {self.levels} refined levels of the scene",
                             f"set refinement.levels to {box.level} or more, or leave the box out",
-                            path=f"{path}.boxes.{index}.level",
-                            found=box.level,
                         )
             elif rule.levels is not None and max(rule.levels) >= self.levels:
-                raise complaint(
+                self.refuse(
+                    f"{path}.levels",
                     f"names a level whose cells nothing refines: the scene has {self.levels} refined levels",
                     f"name levels below {self.levels}, or set refinement.levels to {max(rule.levels) + 1} or more",
-                    path=f"{path}.levels",
-                    found=rule.levels,
                 )
         return self
 

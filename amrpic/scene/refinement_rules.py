@@ -47,7 +47,7 @@ class Threshold(Rule):
 
     @model_validator(mode="after")
     def _one_threshold(self) -> Self:
-        self.refuse_pair("relative", "absolute")
+        self.require_one("relative", "absolute")
         if self.absolute is not None and self.relative_to == "level":
             self.refuse("relative_to", "has no meaning beside absolute", "leave it out, or give relative")
         return self
@@ -93,7 +93,7 @@ class Bounds(Rule):
     def _some_bound(self) -> Self:
         at_least, at_most = getattr(self, "at_least", None), getattr(self, "at_most", None)
         if at_least is None and at_most is None:
-            raise complaint("must be given, or at_most, or both", "add one", path="at_least", found="")
+            self.refuse("at_least", "must be given, or at_most, or both", "add one", found="")
         if at_least is not None and at_most is not None and at_least > at_most:
             self.refuse("at_least", f"lies above at_most = {at_most}, so that no cell fits", "swap them")
         return self
@@ -140,7 +140,7 @@ class EmissionRule(Rule):
 
     @model_validator(mode="after")
     def _one_depth(self) -> Self:
-        self.refuse_pair("depth", "cells")
+        self.require_one("depth", "cells")
         return self
 
     def depth_on(self, width: float) -> float:
@@ -196,20 +196,20 @@ class CallableRule(Rule):
     @model_validator(mode="after")
     def _can_be_called(self) -> Self:
         if self.function is None:
-            raise complaint(
+            self.refuse(
+                "function",
                 f"is missing: {self.name or 'it'} is a Python function, which no file or checkpoint keeps",
                 "pass the scene from Python with function=…, at a restart by Simulation.restart(comm, path, scene)",
-                path="function",
                 found="",
             )
         if not callable(self.function):
             self.refuse("function", "is not a function", "give one")
         for parameter in _parameters(self.function):
             if parameter.name not in ARGUMENTS and parameter.default is parameter.empty:
-                raise complaint(
+                self.refuse(
+                    "function",
                     f"has the parameter {parameter.name}, which names nothing that can be passed",
                     close_match(parameter.name, ARGUMENTS),
-                    path="function",
                     found=self.name,
                 )
         return self
@@ -272,8 +272,8 @@ class RuleCombination(Rule):
     @model_validator(mode="after")
     def _not_empty(self) -> Self:
         if not self.of:
-            raise complaint(
-                "names no rule", 'list some, such as { kind = "charge-density", relative = 1e-3 }', path="of", found=[]
+            self.refuse(
+                "of", "names no rule", 'list some, such as { kind = "charge-density", relative = 1e-3 }', found=[]
             )
         return self
 

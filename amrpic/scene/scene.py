@@ -10,7 +10,7 @@ from typing import Any, Self
 
 from pydantic import model_validator
 
-from .. import html
+from .. import tables
 from ..particles.groups import NamedBunches
 from .electrode_shapes import anchor_files
 from .fits_together import check
@@ -93,7 +93,7 @@ class Scene(SceneParts):
                 {f"{key}.{n}": section for n, section in enumerate(value)} if isinstance(value, list) else {key: value}
             )
             rows += [(where, _brief(section)) for where, section in members.items()]
-        return html.table(("key", "value, where it is not the default"), rows, f"Scene: {self.summary()}")
+        return tables.html(("key", "value, where it is not the default"), rows, f"Scene: {self.summary()}")
 
     def remarks(self) -> list[str]:
         """Return one sentence for each thing that is legal and yet may not be meant."""

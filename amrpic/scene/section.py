@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from operator import attrgetter
 from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, Self, cast
 
 from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, ValidationError, model_validator
@@ -75,19 +74,35 @@ class Section(BaseModel, metaclass=_Sentences):
         settings = {name: getattr(self, name) for name in self.model_fields_set}
         return type(self)(**{**settings, **changes})
 
-    def refuse(self, path: str, problem: str, remedy: str) -> NoReturn:
-        """Raise the validation error of the value at a path: what is wrong with it, and what to do about it."""
-        value = attrgetter(path)(self)
-        text = "nothing" if value is None else list(value) if isinstance(value, tuple) else value
-        raise complaint(problem, remedy, path=path, found=text)
+    def refuse(self, path: str, problem: str, remedy: str, found: Any = None) -> NoReturn:
+        """Raise the validation error of the value at a path: what is wrong with it, and what to do about it.
 
-    def refuse_pair(self, key: str, other: str, remedy: str = "") -> None:
-        """Refuse two keys, one in place of the other, unless exactly one is given; `remedy` is for none."""
-        present = getattr(self, key) is not None
-        if present == (getattr(self, other) is not None):
-            problem = f"is given as well as {other}" if present else f"is missing, as is {other}"
-            missing = remedy or f"give {key} or {other}"
-            raise complaint(problem, "keep one of the two" if present else missing, path=key, found="")
+        The value is part of the sentence, or `found` in its place, if that is not empty.
+        """
+        if found is None:
+            value: Any = self
+            for key in path.split("."):
+                holds_by_key = isinstance(value, Mapping | list | tuple)
+                value = value[int(key) if key.isdigit() else key] if holds_by_key else getattr(value, key)
+            found = "nothing" if value is None else list(value) if isinstance(value, tuple) else value
+        raise complaint(problem, remedy, path=path, found=found)
+
+    def given(self, *keys: str) -> list[str]:
+        """Return those of some keys that have a value."""
+        return [key for key in keys if getattr(self, key) is not None]
+
+    def require_at_most_one(self, *keys: str) -> None:
+        """Refuse keys of which each stands in place of the others, if several are given."""
+        if len(given := self.given(*keys)) > 1:
+            self.refuse(given[0], f"is given as well as {given[1]}", "keep one of the two", found="")
+
+    def require_one(self, *keys: str, remedy: str = "") -> None:
+        """Refuse keys of which each stands in place of the others, unless exactly one is given; `remedy` is for none."""
+        self.require_at_most_one(*keys)
+        if not self.given(*keys):
+            first, *others = keys
+            problem = f"is missing, as {'is' if len(others) == 1 else 'are'} {' and '.join(others)}"
+            self.refuse(first, problem, remedy or f"give {', '.join(keys[:-1])} or {keys[-1]}", found="")
 
 
 def refuse_negative(path: str, value: float, unit: str) -> None:

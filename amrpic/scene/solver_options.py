@@ -191,7 +191,7 @@ class SolverOptions(Section):
         for axis, factor in enumerate(self.stretch):
             if not 0 < factor < LARGEST_STRETCH:
                 remedy = f"give a factor above 0, below {LARGEST_STRETCH:g}"
-                raise complaint("is no stretch", remedy, path=f"stretch.{axis}", found=factor)
+                self.refuse(f"stretch.{axis}", "is no stretch", remedy)
         return self
 
     @property

@@ -9,19 +9,18 @@ from typing import Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from ..mesh.directions import axes
 from ..mesh.domain import FACES, Domain
+from ..mesh.window import axes
 from ..particles.emission import fowler_nordheim, richardson
 from ..particles.species import SPECIES
 from ..particles.uniform_numbers import Sampling
 from ..units import BOLTZMANN, SPEED_OF_LIGHT
 from .bunch_files import GroupOfParticles, Iteration, ParticleFile
-from .complaints import complaint
 from .emitted_momenta import MOST_OF_REST, AnyMomenta, BeamMomenta, ColdMomenta, ThermalMomenta
 from .obstacles import Obstacle
 from .pulses import AnyPulse, SteadyPulse
+from .real_particle import Species
 from .section import Section
-from .species_of_bunches import Species
 from .spots import AnySpot, DiscSpot, RectangleSpot
 from .units import Angle, Charge, Current, CurrentDensity, Direction3, Energy, Length3, Temperature, Time
 
@@ -113,29 +112,24 @@ class Source(OfSpecies):
 
     @model_validator(mode="after")
     def _one_surface(self) -> Self:
-        surfaces = [key for key in ("face", "plane", "electrode") if getattr(self, key) is not None]
-        if len(surfaces) != 1:
-            wrong = f"is given as well as {surfaces[-1]}" if surfaces else "is missing"
-            raise complaint(
-                wrong, "name one face or electrode, or give a plane", path="face", found=self.face or "nothing"
-            )
+        self.require_one("face", "plane", "electrode", remedy="name one face or electrode, or give a plane")
         if self.electrode is not None and self.spot is not None:
-            raise complaint(
+            self.refuse(
+                "spot",
                 "is no part of an electrode's surface",
                 "leave it out, or make the part that emits an electrode of its own",
-                path="spot",
                 found=self.spot.shape,
             )
         if self.plane is not None and self.reach is None:
-            raise complaint("is missing on a plane, which has no end", "add one", path="spot", found="nothing")
+            self.refuse("spot", "is missing on a plane, which has no end", "add one")
         if self.species.charge == 0:
-            raise complaint("has no charge, by which sources count", "take a charged one", path="species", found="")
+            self.refuse("species", "has no charge, by which sources count", "take a charged one", found="")
         most = self.emitted.largest_energy() / (self.species.mass * SPEED_OF_LIGHT**2)
         if most > MOST_OF_REST and not isinstance(self.emitted, BeamMomenta):
-            raise complaint(
+            self.refuse(
+                "momenta",
                 f"has an energy of {most:.2g} m c², where its formulas are not relativistic",
                 'use kind = "beam", or correct the unit',
-                path="momenta",
                 found=self.emitted.kind,
             )
         return self
@@ -205,38 +199,20 @@ class GivenSource(Source):
         steady = isinstance(self.pulse, SteadyPulse)
         key, foreign = ("current", "charge") if steady else ("charge", "current")
         if getattr(self, foreign) is not None:
-            raise complaint(
-                f"is not what a {self.pulse.shape} pulse has",
-                f"give its {key}",
-                path=foreign,
-                found=getattr(self, foreign),
-            )
+            self.refuse(foreign, f"is not what a {self.pulse.shape} pulse has", f"give its {key}")
         if self.current is None and self.total == 0:
-            raise complaint("is missing", f"add the {key} of the source", path=key, found="nothing")
+            self.refuse(key, "is missing", f"add the {key} of the source", found="nothing")
         for name in (key, "particle_charge"):
             value = getattr(self, name)
             if value is not None and not value * self.species.charge > 0:
-                raise complaint(
+                self.refuse(
+                    name,
                     f"has not the sign of the {self.species.charge:g} C of its species",
                     "change it or the species",
-                    path=name,
-                    found=value,
                 )
-        numbers = [name for name in ("particles", "particle_charge", "per_step") if getattr(self, name) is not None]
-        if len(numbers) != 1:
-            raise complaint(
-                "must be given, or else particle_charge or per_step, and one of them alone",
-                "keep one of the three",
-                path="particles",
-                found=", ".join(numbers) or "nothing",
-            )
+        self.require_one("particles", "particle_charge", "per_step")
         if self.particles is not None and math.isinf(self.pulse.duration):
-            raise complaint(
-                "is a number for a pulse without an end",
-                "give particle_charge or per_step",
-                path="particles",
-                found=self.particles,
-            )
+            self.refuse("particles", "is a number for a pulse without an end", "give particle_charge or per_step")
         return self
 
     @property
@@ -301,20 +277,13 @@ class PhotoSource(GivenSource):
 
     @model_validator(mode="after")
     def _light(self) -> Self:
-        if (self.momenta is None) == (self.mean_transverse_energy is None):
-            raise complaint(
-                "must be given, or else momenta, and one of them alone",
-                "keep one of the two",
-                path="mean_transverse_energy",
-                found="both" if self.momenta else "neither",
-            )
-        light = [key for key in LIGHT if getattr(self, key) is not None]
+        self.require_one("mean_transverse_energy", "momenta")
+        light = self.given(*LIGHT)
         if light and (len(light) < len(LIGHT) or self.charge is not None or self.current is not None):
-            raise complaint(
+            self.refuse(
+                light[0],
                 f"goes with all of {', '.join(LIGHT)}, and without charge and current",
                 "give the three, or the charge",
-                path=light[0],
-                found=getattr(self, light[0]),
             )
         return self
 
@@ -346,14 +315,14 @@ class WallSource(Source):
     @model_validator(mode="after")
     def _on_a_face(self) -> Self:
         if self.plane is not None:
-            raise complaint(
+            self.refuse(
+                "plane",
                 "has no field that decides what it emits",
                 "name a face or an electrode",
-                path="plane",
                 found=self.plane.centre,
             )
         if self.stop is not None and self.stop <= self.start:
-            raise complaint("is not after start", "swap them", path="stop", found=self.stop)
+            self.refuse("stop", "is not after start", "swap them")
         return self
 
     @property

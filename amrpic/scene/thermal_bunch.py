@@ -9,12 +9,10 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from ..particles import distributions
-from ..particles.equivalent_beam import line_gradient
 from ..particles.phase_space import PhasePlane
-from ..particles.thermal_equilibrium import matched
+from ..particles.thermal_equilibrium import line_gradient, matched
 from ..units import SPEED_OF_LIGHT
 from .bunches import Train
-from .complaints import complaint
 from .elements import gradient_of
 from .units import ElectricGradient, Emittance, Length, Momentum, WaveNumber
 
@@ -55,7 +53,7 @@ class ThermalBunch(Train):
     @model_validator(mode="after")
     def _matched(self) -> Self:
         self._check_direction()
-        self.refuse_pair("gradient", "wavenumber")
+        self.require_one("gradient", "wavenumber")
         if self.wavenumber is not None and not any(self.mean_momentum):
             self.refuse(
                 "wavenumber",
@@ -63,30 +61,23 @@ class ThermalBunch(Train):
                 "give momentum or velocity, or gradient in place of wavenumber",
             )
         if self.species.charge == 0:
-            raise complaint("has no charge, which the focusing acts on", "give another one", path="species", found=0.0)
+            self.refuse("species", "has no charge, which the focusing acts on", "give another one", found=0.0)
         if self.gradient is not None and self.gradient * self.species.charge <= 0:
-            raise complaint(
+            self.refuse(
+                "gradient",
                 f"does not focus particles of {self.species.charge:g} C",
                 "give one of the sign of the charge",
-                path="gradient",
             )
-        given_sizes = [name for name in SIZES if getattr(self, name) is not None]
-        if len(given_sizes) != 1:
-            raise complaint(
-                f"is not the one size of the beam: {' and '.join(given_sizes) or 'nothing'} is given",
-                f"give one of {', '.join(SIZES)}",
-                path=given_sizes[-1] if given_sizes else "sigma",
-                found=getattr(self, given_sizes[-1]) if given_sizes else "nothing",
-            )
+        self.require_one(*SIZES)
         self._check_size()
         return self
 
     def _check_direction(self) -> None:
         if any(self.mean_momentum[:2]):
-            raise complaint(
+            self.refuse(
+                next(name for name in ("momentum", "velocity", "direction") if getattr(self, name) is not None),
                 "is not along z, where the beam is continuous",
                 "give a momentum, velocity or direction along z",
-                path=next(name for name in ("momentum", "velocity", "direction") if getattr(self, name) is not None),
                 found=list(self.momentum or self.velocity or self.direction or ()),
             )
         if any(self.momentum_spread):
@@ -98,7 +89,7 @@ class ThermalBunch(Train):
 
     def _check_size(self) -> None:
         if self.tune_depression is not None and self._self_force == 0:
-            raise complaint("needs a charge that depresses it", "give sigma or emittance", path="tune_depression")
+            self.refuse("tune_depression", "needs a charge that depresses it", "give sigma or emittance")
         if self.sigma is not None and self._equilibrium[1] < 0:
             cold, _ = matched(self._focusing, self._self_force, emittance=0.0)
             self.refuse(

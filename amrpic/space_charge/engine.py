@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import ValidationError
 
 from ..errors import AmrpicError, HierarchyError, InputError
 from ..mesh.domain import Domain
@@ -17,7 +16,7 @@ from ..mpi import MPI
 from ..parallel import Communicator, own, together
 from ..particles.clouds import SHAPES, Clouds, Shape, are_cubes, compensation_pays, matched_pays
 from ..particles.particles import Particles
-from ..scene.complaints import mistakes
+from ..scene.complaints import settings
 from ..scene.refinement import Refinement
 from ..scene.refinement_rules import CallableRule, MomentumRule, RuleKind, RuleOfElectrodes, every_rule
 from ..scene.solver_options import SolverSection
@@ -86,10 +85,8 @@ class SpaceCharge:
         self._shape, self._compensation = shape, compensation
         self._placing = Placing(*_domain(domain, cells))
         self._auto_levels = levels == "auto"
-        refinement = _section(
-            Refinement, levels=1 if self._auto_levels else levels, regrid_every=regrid_every, **_rule(rule)
-        )
-        options = _section(SolverSection, tolerance=tolerance)
+        refinement = _refinement(rule, levels=1 if self._auto_levels else levels, regrid_every=regrid_every)
+        options = settings(SolverSection, {"tolerance": tolerance}, InputError)
         self._levels = refinement.levels
         self._memory = Memory(refinement, options)
         self._order, self._order_of_places = CallersOrder(reproducible), CallersOrder()
@@ -347,18 +344,14 @@ def _rule(rule: Any) -> dict[str, Any]:
     return {"rule": rule}
 
 
-def _section(kind: type[Any], **values: Any) -> Any:
-    """Return settings as the section of scenes that checks them. InputError for wrong ones."""
-    try:
-        options = kind.model_validate(values)
-    except ValidationError as refused:
-        path, value_found, problem, remedy = mistakes(refused, kind)[0]
-        raise InputError(f"{path} is {value_found!r}, which {problem}; {remedy}") from None
-    for _, rule in every_rule(options.rule) if isinstance(options, Refinement) else ():
-        if isinstance(rule, MomentumRule):
+def _refinement(rule: Any, **values: Any) -> Refinement:
+    """Return the section that says what is refined. InputError for a wrong one, or a rule that looks at what is not there."""
+    refinement = settings(Refinement, {**values, **_rule(rule)}, InputError)
+    for _, part in every_rule(refinement.rule):
+        if isinstance(part, MomentumRule):
             raise InputError("rule looks at momenta, which no one gives; use another rule, such as charge-density")
-        if isinstance(rule, RuleOfElectrodes):
+        if isinstance(part, RuleOfElectrodes):
             raise InputError(
                 "rule looks at electrodes, of which there are none; use another rule, such as charge-density"
             )
-    return options
+    return refinement

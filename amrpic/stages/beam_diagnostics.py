@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from .. import _native
 from ..mesh.domain import AXES, Domain
 from ..mpi import MPI
-from ..particles.equivalent_beam import ellipsoid_gradient, line_gradient, tune_depression
 from ..particles.groups import Groups, layers
 from ..particles.images import NO_IMAGES, Images, periods
 from ..particles.particles import Particles
+from ..particles.thermal_equilibrium import ellipsoid_gradient, line_gradient, tune_depression
 from ..units import SPEED_OF_LIGHT, Column
 
 COORDINATES = ("x", "y", "z", "ux", "uy", "uz")  # u: momentum over m c, which is βγ along an axis

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from .. import _native
 from ..conductors.hits import first_hits
-from ..mesh.directions import axes
 from ..mesh.domain import Domain
-from ..mesh.window import Window
+from ..mesh.window import Window, axes
 from ..scene.electrodes import Electrode
 from ..scene.obstacles import Aperture, RectangularAperture, RoundAperture, Screen, Turned
 

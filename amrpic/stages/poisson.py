@@ -9,9 +9,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
-from pydantic import ValidationError
 
-from .. import _native, html
+from .. import _native, tables
 from ..conductors.arms import Lattice
 from ..conductors.metal import MetalOnMesh, image_refusal
 from ..errors import SolverError
@@ -22,7 +21,7 @@ from ..mesh.level_operators import LevelOperators
 from ..mesh.mirror import SIGNS, Mirror
 from ..mesh.rims import rims_of
 from ..parallel import together
-from ..scene.complaints import mistakes
+from ..scene.complaints import settings
 from ..scene.electrodes import Electrode
 from ..scene.solver_options import SolverOptions
 
@@ -67,7 +66,7 @@ class SolveReport:
     def _repr_html_(self) -> str:
         end = "converged" if self.converged else "not converged"
         caption = f"SolveReport: {end} after {self.cycles} cycles: {self.reason}"
-        return html.table(("cycle", "residual"), [[n, f"{r:.2e}"] for n, r in enumerate(self.residuals)], caption)
+        return tables.html(("cycle", "residual"), [[n, f"{r:.2e}"] for n, r in enumerate(self.residuals)], caption)
 
 
 # Weight of the voltage of an electrode in the equation of a cell, over the diagonal, from which on the cell sees it: it is that
@@ -524,11 +523,7 @@ def _options(options: SolverOptions | None, choices: Mapping[str, Any]) -> Solve
         if choices:
             raise SolverError(f"options are given as well as {', '.join(choices)}; keep one of the two")
         return options
-    try:
-        return SolverOptions.model_validate({name: _plain(value) for name, value in choices.items()})
-    except ValidationError as refused:
-        path, value_found, problem, remedy = mistakes(refused, SolverOptions)[0]
-        raise SolverError(f"{path} is {value_found!r}, which {problem}; {remedy}") from None
+    return settings(SolverOptions, {name: _plain(value) for name, value in choices.items()}, SolverError)
 
 
 def _plain(value: Any) -> Any:

@@ -12,7 +12,7 @@ from ..errors import HierarchyError
 from ..mesh.boxes import cells_of
 from ..mesh.field import Field
 from ..mesh.hierarchy import Hierarchy
-from ..mesh.orders import require_order
+from ..mesh.polynomials import require_order
 from ..mesh.remap import Bounds
 from ..parallel import raise_together
 

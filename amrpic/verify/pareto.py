@@ -27,11 +27,9 @@ from ..scene.refinement_rules import StaticRule, every_rule
 from ..scene.scene import Scene
 from ..stages.diagnostics import field_energy
 from ..stages.migrate import migrate
-from .charts import MARKERS, picture
 from .described import ExactField, Moved, density_of, exact_field
-from .error_norms import errors
-from .known_charges import Array, Density, Vector, fill
-from .table import Cell, Goal, Table, text
+from .known_charges import Array, Density, Vector, errors, fill
+from .table import MARKERS, Cell, Goal, Table, picture, text
 
 SPARED = 1.1  # what the scene may lose to the best: of its error at no more cost, or of its cost at no more error
 LEFT = 0.1  # part of the mesh's error that a solve may leave; what leaves more does not count for the frontier

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Polygon, Rectangle
 
 from ..lattice.convert import Converted, PlacedPiece
-from ..lattice.orbit import chord, middle
+from ..lattice.pieces import chord, middle
 
 COLOURS = {
     "dipole": "tab:blue",

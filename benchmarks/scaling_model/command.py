@@ -10,12 +10,12 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from amrpic.commands.text_table import columns
 from amrpic.scaling.measure import CLOCKS
 from amrpic.scaling.measured import medians
 from amrpic.scaling.show import as_markdown, page, write
 from amrpic.scaling.study import LAUNCHER, Study
 from amrpic.scene.scene import Scene
+from amrpic.tables import columns
 
 from .calibrate import calibrate
 from .machine import Machine

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from amrpic.particles.equivalent_beam import line_gradient
+from amrpic.particles.thermal_equilibrium import line_gradient
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE, SPEED_OF_LIGHT
 
 RADIUS = 1e-3  # m, of the uniform beam that has the matched rms size

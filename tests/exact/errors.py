@@ -8,8 +8,8 @@ import numpy as np
 
 from amrpic.mesh.field import Field
 from amrpic.mpi import MPI
-from amrpic.verify import error_norms
-from amrpic.verify.error_norms import Exact
+from amrpic.verify import known_charges
+from amrpic.verify.known_charges import Exact
 
 
 def errors(fields: Sequence[Field], exact: Exact, shift: bool = False) -> tuple[float, float]:
@@ -17,12 +17,12 @@ def errors(fields: Sequence[Field], exact: Exact, shift: bool = False) -> tuple[
 
     Where no face fixes a potential, it is known up to a constant only.
     """
-    return error_norms.errors(fields, exact, mean_error(fields[0], exact) if shift else 0.0)
+    return known_charges.errors(fields, exact, mean_error(fields[0], exact) if shift else 0.0)
 
 
 def level_errors(fields: Sequence[Field], exact: Exact) -> list[tuple[float, float]]:
     """The same per level: L2 relative to the level's own norm, max to the largest exact value of all levels. Collective."""
-    squares, largest = error_norms.measured(fields, exact)
+    squares, largest = known_charges.measured(fields, exact)
     top = largest[:, 1].max()
     return [
         (float(np.sqrt(wrong / right)), float(np.sqrt(worst / top)))
@@ -35,7 +35,7 @@ def mean_error(field: Field, exact: Exact) -> float:
     total = np.zeros(2)
     for patch in field.patches:
         use, volume = ~patch.covered, np.prod(patch.hierarchy.spacing(patch.level))
-        (expected,) = error_norms.components(exact, patch.centres())
+        (expected,) = known_charges.components(exact, patch.centres())
         wrong = (patch.data - expected)[use]
         total += volume * np.array([wrong.sum(), wrong.size])
     total = field.comm.allreduce(total, op=MPI.SUM)

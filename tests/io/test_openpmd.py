@@ -14,7 +14,7 @@ from mpi4py import MPI
 
 from amrpic.errors import InputError
 from amrpic.io import openpmd_reader, openpmd_writer
-from amrpic.io.provenance import Provenance
+from amrpic.io.provenance import Moment, Provenance
 from amrpic.parallel import share
 from amrpic.particles.particles import Particles
 from amrpic.particles.species import SPECIES, Species, SpeciesTable
@@ -112,7 +112,7 @@ def test_every_species_has_a_group_that_can_be_chosen(comm, tmp_path):
         random.normal(0, 1e-3, (40, 3)), random.normal(size=(40, 3)), random.random(40) + 1, np.arange(40), table
     )
     path = tmp_path / "two.h5"
-    openpmd_writer.write(comm, path, all_of.select(slice(comm.rank, None, comm.size)), 3, 1e-9, Provenance())
+    openpmd_writer.write(comm, path, all_of.select(slice(comm.rank, None, comm.size)), Moment(3, 1e-9), Provenance())
     with pytest.raises(InputError, match="2 groups; set group to one of argon, proton"):
         openpmd_reader.read(path, partial(share, comm))
     part = openpmd_reader.read(path, partial(share, comm), group="argon", iteration=3)
@@ -205,8 +205,8 @@ def test_what_cannot_be_written_is_reported_and_leaves_nothing(comm, tmp_path):
     (tmp_path / "file").write_text("in the way")
     nothing = Particles.empty(SpeciesTable((SPECIES["proton"],)))
     with pytest.raises(OutputError, match="cannot write particles"):
-        openpmd_writer.write(comm, tmp_path / "file" / "out.h5", nothing, 0, 0.0, Provenance())
-    openpmd_writer.write(comm, tmp_path / "none.h5", nothing, 0, 0.0, Provenance())
+        openpmd_writer.write(comm, tmp_path / "file" / "out.h5", nothing, Moment(0, 0.0), Provenance())
+    openpmd_writer.write(comm, tmp_path / "none.h5", nothing, Moment(0, 0.0), Provenance())
     assert len(openpmd_reader.read(tmp_path / "none.h5", partial(share, comm))) == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "none.h5"]
 

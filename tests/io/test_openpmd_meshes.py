@@ -10,6 +10,7 @@ import pytest
 import whole_run
 from amrpic.errors import InputError
 from amrpic.io import openpmd_files, openpmd_meshes, openpmd_writer, vtkhdf_writer
+from amrpic.io.provenance import Moment
 from amrpic.particles.particles import Particles
 from amrpic.particles.species import SPECIES, SpeciesTable
 from linear_dump import ABOUT, DOMAIN, STEP, TIME, dumped, phi_at, write
@@ -30,10 +31,10 @@ def written(comm, folder: Path, particles: bool = True) -> Path:
     fields, beam = vtkhdf_writer.path_of(folder, STEP), openpmd_writer.path_of(folder, STEP)
     write(comm, fields, writers=0)
     if particles:
-        openpmd_writer.write(comm, beam, PARTICLES.select(slice(comm.rank, None, comm.size)), STEP, TIME, ABOUT)
+        openpmd_writer.write(comm, beam, PARTICLES.select(slice(comm.rank, None, comm.size)), Moment(STEP, TIME), ABOUT)
     path = openpmd_meshes.path_of(folder, STEP)
     hierarchy, values = dumped(comm)
-    openpmd_meshes.write(path, hierarchy, values, fields, beam if particles else None, STEP, TIME, ABOUT)
+    openpmd_meshes.write(path, hierarchy, values, fields, beam if particles else None, Moment(STEP, TIME), ABOUT)
     return path
 
 

@@ -10,6 +10,7 @@ import pytest
 from amrpic.errors import InputError, OutputError
 from amrpic.io import vtkhdf_writer, writer_ranks
 from amrpic.io.field_reader import Dump
+from amrpic.io.provenance import Moment
 from amrpic.io.shared_file import part_of
 from amrpic.io.writer_ranks import Writers
 from full_disk import file_size_limit
@@ -101,7 +102,9 @@ def test_a_dump_that_cannot_be_written_is_one_error_and_leaves_nothing(comm, tmp
     hierarchy, values = dumped(comm)
     missing = tmp_path / "nowhere"
     with pytest.raises(OutputError, match=r"cannot write fields .*: No such file or directory; .*folder") as caught:
-        vtkhdf_writer.write(vtkhdf_writer.path_of(missing, 7), hierarchy, values, 7, 0.0, ABOUT, Writers(writers))
+        vtkhdf_writer.write(
+            vtkhdf_writer.path_of(missing, 7), hierarchy, values, Moment(7, 0.0), ABOUT, Writers(writers)
+        )
     assert len(set(comm.allgather(str(caught.value)))) == 1
     assert list(tmp_path.iterdir()) == []
 
@@ -117,7 +120,7 @@ def test_a_disk_that_fills_up_keeps_the_old_dump(comm, tmp_path, writers, room):
     hierarchy, values = dumped(comm)
     full = file_size_limit(room if comm.rank == 0 else None)
     with full, pytest.raises(OutputError, match=r"cannot write fields .*: File too large; .*folder"):
-        vtkhdf_writer.write(path, hierarchy, values, 7, 0.0, ABOUT, Writers(writers))
+        vtkhdf_writer.write(path, hierarchy, values, Moment(7, 0.0), ABOUT, Writers(writers))
     comm.barrier()
     assert sorted(p.name for p in tmp_path.iterdir()) == before
     with Dump(path) as dump:
@@ -161,11 +164,11 @@ def test_a_run_lists_the_times_of_its_dumps(comm, tmp_path):
     for step, time in ((0, 0.0), (20, 2.5e-9), (10, 1.25e-9)):
         comm.Barrier()
         vtkhdf_writer.path_of(tmp_path, step).touch()
-        vtkhdf_writer.list_time(comm, tmp_path, step, time)
+        vtkhdf_writer.list_time(comm, tmp_path, Moment(step, time))
     comm.Barrier()
     vtkhdf_writer.path_of(tmp_path, 20).unlink(missing_ok=True)
     comm.Barrier()
-    vtkhdf_writer.list_time(comm, tmp_path, 10, 1.5e-9)  # again, after a restart
+    vtkhdf_writer.list_time(comm, tmp_path, Moment(10, 1.5e-9))  # again, after a restart
     if comm.rank == 0:
         reader = pyvista.get_reader(tmp_path / "fields.vtkhdf.series")  # as ParaView's reader of series
         assert reader.time_values == [0.0, 1.5e-9]
@@ -175,7 +178,7 @@ def test_a_run_lists_the_times_of_its_dumps(comm, tmp_path):
     comm.Barrier()
     (tmp_path / vtkhdf_writer.SERIES).write_text("[]")
     comm.Barrier()
-    vtkhdf_writer.list_time(comm, tmp_path, 10, 1.5e-9)
+    vtkhdf_writer.list_time(comm, tmp_path, Moment(10, 1.5e-9))
     assert vtkhdf_writer.listed_times(tmp_path / vtkhdf_writer.SERIES) == {"fields_00000010.vtkhdf": 1.5e-9}
 
 

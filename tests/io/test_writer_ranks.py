@@ -16,11 +16,11 @@ from mpi4py import MPI
 from amrpic import Scene, Simulation
 from amrpic.io import checkpoint, openpmd_reader, openpmd_writer, shared_file, writer_ranks
 from amrpic.io.checkpoint import Header, Snapshot
-from amrpic.io.provenance import Provenance
+from amrpic.io.provenance import Moment, Provenance
 from amrpic.io.writer_ranks import RANKS_PER_WRITER, Writers
 from amrpic.particles.particles import Particles
 from amrpic.particles.species import SPECIES, SpeciesTable
-from amrpic.scene.output import PART_BYTES
+from amrpic.scene.run_sections import PART_BYTES
 from scaling_model.writer_loads import checkpoint_loads
 
 SMALL = 2**17  # bytes: what a rank reads and writes besides: headers
@@ -198,9 +198,9 @@ def test_particles_of_a_part_lie_in_the_order_of_ids(comm, tmp_path, monkeypatch
     monkeypatch.setattr(writer_ranks, "MERGED_BYTES", 5_000)  # some rows of each rank at once
     particles, columns = drawn(comm, 4000)
     path, alone = tmp_path / "particles_00000003.h5", tmp_path / f"alone{comm.rank}.h5"
-    openpmd_writer.write(comm, path, particles, 3, 0.0, Provenance(), columns=columns, writers=Writers(writers))
+    openpmd_writer.write(comm, path, particles, Moment(3, 0.0), Provenance(), columns=columns, writers=Writers(writers))
     whole, of_whole = drawn(MPI.COMM_SELF, 4000)
-    openpmd_writer.write(MPI.COMM_SELF, alone, whole, 3, 0.0, Provenance(), columns=of_whole)
+    openpmd_writer.write(MPI.COMM_SELF, alone, whole, Moment(3, 0.0), Provenance(), columns=of_whole)
     for name in ("electron", "proton"):
         with h5py.File(path) as one, h5py.File(alone) as other:
             found, expected = (h5[f"data/3/particles/{name}"] for h5 in (one, other))
@@ -223,7 +223,7 @@ def test_particles_of_a_part_lie_in_the_order_of_ids(comm, tmp_path, monkeypatch
 def test_clients_open_a_particle_file_of_several_parts(comm, tmp_path):
     particles = dataclasses.replace(drawn(comm, 300)[0], species=SpeciesTable((SPECIES["electron"],)))
     path = tmp_path / "particles_00000003.h5"
-    openpmd_writer.write(comm, path, particles, 3, 0.0, Provenance(), writers=Writers(0))
+    openpmd_writer.write(comm, path, particles, Moment(3, 0.0), Provenance(), writers=Writers(0))
     group = beamphysics.ParticleGroup(str(path))
     assert len(group) == 300
     assert group.charge == pytest.approx(abs(particles.total_charge(comm)), rel=1e-12, abs=0)

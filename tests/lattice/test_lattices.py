@@ -14,7 +14,7 @@ import pytest
 import amrpic
 from amrpic.errors import InputError
 from amrpic.lattice import pals
-from amrpic.lattice.orbit import START, exit_of
+from amrpic.lattice.pieces import START, exit_of
 from amrpic.scene.lattice_file import LatticeSection
 from exact.lattices import MADX, PALS, matrix, starts, tracked
 

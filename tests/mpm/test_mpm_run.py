@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 
@@ -22,7 +23,7 @@ from amrpic.mpm.material_points import migrate, require_inside
 from amrpic.mpm.means import element_means
 from amrpic.mpm.point_preview import preview
 from amrpic.mpm.rows import loose_weights
-from amrpic.mpm.sample import mesh_of, sample
+from amrpic.mpm.step import mesh_of, sample
 from amrpic.results.comparison import compare
 from amrpic.view.draw import figures
 from amrpic.view.views import View
@@ -302,6 +303,15 @@ def test_a_run_is_read_back_by_the_commands_that_know_points(comm, tmp_path):
     names = re.findall(r'<img alt="([^"]*)" src="data:image/png;base64,', page)
     assert names == ["material_y", "damage_y", "pressure_y", "mises_y", "body", "solver", "time"]
     assert "<td>load</td><td>100 %</td>" in page and "method = &quot;mpm&quot;" in page
+    slower = scene(tmp_path, schedule={"steps": 3}, output={**output, "directory": str(tmp_path / "slower")})
+    mpm.Simulation(comm, slower).run(log="silent")
+    found = compare(tmp_path / "run", tmp_path / "slower")  # at the same loads, which are not those of the same steps
+    assert set(found.parts) == {"series", "fields", "points"}
+    assert [(one.what, one.relative, one.where) for one in found.parts["series"][:2]] == [
+        ("steps", math.inf, "3 of one run alone"),
+        ("load", 0.0, ""),
+    ]
+    assert {one.where for one in found.parts["points"]} == {"at step 2"} and found.parts["points"][0].relative == 0
     elsewhere = scene(tmp_path, schedule={"steps": 2}, output={**output, "directory": str(tmp_path / "other")})
     again = mpm.Simulation.restart(comm, tmp_path / "run" / "checkpoint_00000002", elsewhere)
     again.run(log="silent")

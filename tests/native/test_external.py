@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import ellipe, ellipk, j0, j1, jn_zeros
 
 from amrpic.external import ExternalFields
-from amrpic.mesh.directions import axes
+from amrpic.mesh.window import axes
 from amrpic.scene.elements import (
     ENGE_OF_DIPOLES,
     ENGE_OF_QUADRUPOLES,

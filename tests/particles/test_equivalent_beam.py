@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from amrpic.particles.equivalent_beam import ellipsoid_gradient, line_gradient, tune_depression
+from amrpic.particles.thermal_equilibrium import ellipsoid_gradient, line_gradient, tune_depression
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE, SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
 
 SIZES = (1e-3, 2.5e-3, 0.7e-3)  # m, rms

@@ -15,7 +15,7 @@ from amrpic.commands.preview import preview
 from amrpic.errors import InputError
 from amrpic.io import openpmd_reader
 from amrpic.io.field_reader import open_dump
-from amrpic.scene.schedule import Schedule
+from amrpic.scene.run_sections import Schedule
 from amrpic.units import ELECTRON_MASS, SPEED_OF_LIGHT
 
 DT = 24e-12

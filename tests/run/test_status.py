@@ -14,10 +14,9 @@ import pytest
 
 import amrpic
 from amrpic.commands.main import main
+from amrpic.io import run_status as status_module
 from amrpic.io import time_series
-from amrpic.io.run_status import FILE, RunStatus, now
-from amrpic.run import status as status_module
-from amrpic.run.status import Status
+from amrpic.io.run_status import FILE, RunStatus, Status, now
 
 ROW = {
     "step": 3,

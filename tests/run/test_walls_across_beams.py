@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 import amrpic
 from amrpic.errors import InputError, SceneError
-from amrpic.pic.image_forces import WEAK
+from amrpic.pic.charge_images import WEAK
 from amrpic.units import ELECTRON_MASS, SPEED_OF_LIGHT
 from charges_in_motion import Ball, force, mirrored, total
 

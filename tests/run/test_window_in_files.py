@@ -12,6 +12,7 @@ from mpi4py import MPI
 
 import amrpic
 from amrpic.io.field_reader import LiveDump, open_dump
+from amrpic.io.provenance import Moment
 from amrpic.pic.course import Course
 from amrpic.results.comparison import compare
 from vtk_files import vtk_read
@@ -128,7 +129,7 @@ def test_charge_of_meshes_and_of_particles_has_one_centre(comm: MPI.Comm, tmp_pa
         np.testing.assert_allclose(centre(rho), mean, rtol=0, atol=1e-14, err_msg=name)
         np.testing.assert_allclose(centre(particles), mean, rtol=0, atol=1e-14, err_msg=name)
     np.testing.assert_allclose(centre(by_yt(tmp_path)), mean, rtol=0, atol=1e-14)
-    live = LiveDump(tmp_path, run.hierarchy, {"phi": run.phi}, STEPS, run.time, window=run.window)
+    live = LiveDump(tmp_path, run.hierarchy, {"phi": run.phi}, Moment(STEPS, run.time, run.window))
     with open_dump(tmp_path) as fields, open_dump(tmp_path / f"checkpoint_{STEPS:08d}") as kept:
         for dump in fields, kept, live:  # what pictures show
             np.testing.assert_array_equal(dump.lower, np.array(run.scene.domain.lower) + at)

@@ -11,7 +11,7 @@ import pytest
 
 from amrpic import Scene, shapes
 from amrpic.errors import InputError, SceneError
-from amrpic.pic.driven_electrodes import make_electrodes
+from amrpic.pic.driven_electrodes import compared_electrodes
 from amrpic.scene.electrode_shapes import Formula
 
 DOMAIN = {"lower": -0.02, "upper": 0.02, "cells": 16, "boundary": "dirichlet"}
@@ -84,12 +84,12 @@ def test_files_are_relative_to_the_scene_and_read_when_a_run_is_set_up(tmp_path)
     """
     (tmp_path / "scene.toml").write_text(table)
     described = Scene.from_toml(tmp_path / "scene.toml")
-    [electrode] = make_electrodes(described)
+    [electrode], _ = compared_electrodes(described)
     assert electrode.shape == shapes.Revolved([(0, 1e-3), (1e-3, 1e-3), (1e-3, 2e-3), (0, 2e-3)])
     Path(tmp_path / "ring.csv").unlink()
     assert Scene.from_toml(tmp_path / "scene.toml") == described  # outputs are read without the file
     with pytest.raises(InputError, match=r"ring\.csv cannot be read \(No such file or directory\); check the path"):
-        make_electrodes(described)
+        compared_electrodes(described)
 
 
 @pytest.mark.parametrize(
@@ -169,7 +169,7 @@ def test_electrodes_that_do_not_fit_the_scene_are_refused(changes, sentence):
 def test_electrodes_that_touch_are_refused_with_the_place():
     two = [{"name": name, "shape": BALL, "voltage": volts} for name, volts in (("a", 1), ("b", 2))]
     with pytest.raises(InputError, match=r"electrodes a and b touch at .* m and have different voltages"):
-        make_electrodes(Scene.from_dict({"domain": DOMAIN, "electrodes": two}))
+        compared_electrodes(Scene.from_dict({"domain": DOMAIN, "electrodes": two}))
 
 
 def test_a_held_electrode_lets_a_net_charge_stand_between_periodic_faces():

@@ -10,7 +10,7 @@ import pytest
 
 from amrpic.errors import SceneError
 from amrpic.external import ExternalFields
-from amrpic.mesh.directions import axes
+from amrpic.mesh.window import axes
 from amrpic.scene.elements import DipoleElement, MapElement, enge_reach
 from amrpic.scene.scene import Scene
 from amrpic.scene.units import to_si

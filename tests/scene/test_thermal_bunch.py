@@ -120,8 +120,11 @@ def test_wave_number_is_that_of_the_element():
 @pytest.mark.parametrize(
     ("bunch", "sentence"),
     [
-        ({}, "bunches.0.sigma ('nothing') is not the one size"),
-        ({"sigma": 1e-3, "emittance": 1e-6}, "sigma and emittance is given; give one of"),
+        (
+            {},
+            "bunches.0.sigma is missing, as are emittance and tune_depression; give sigma, emittance or tune_depression",
+        ),
+        ({"sigma": 1e-3, "emittance": 1e-6}, "bunches.0.sigma is given as well as emittance; keep one of the two"),
         ({"sigma": 1e-3}, "is less than 0.001499 m"),
         ({"sigma": 1e-3, "gradient": 1e5}, "does not focus particles of -1.60218e-19 C"),
         ({"sigma": 1e-3, "gradient": None}, "bunches.0.gradient is missing, as is wavenumber"),

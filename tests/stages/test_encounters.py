@@ -9,9 +9,8 @@ import pytest
 
 from amrpic import Scene, Simulation, _native
 from amrpic.errors import ParticleError
-from amrpic.mesh.directions import axes
 from amrpic.mesh.domain import FACES, Domain
-from amrpic.mesh.window import Window
+from amrpic.mesh.window import Window, axes
 from amrpic.scene.obstacles import EllipticAperture, RectangularAperture, RoundAperture, Screen
 from amrpic.stages.encounters import Encounters, Flights, native_aperture, native_screen
 

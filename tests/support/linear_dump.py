@@ -9,7 +9,7 @@ from mpi4py import MPI
 
 from amrpic import Domain, Field, Hierarchy, VectorField
 from amrpic.io import vtkhdf_writer
-from amrpic.io.provenance import Provenance
+from amrpic.io.provenance import Moment, Provenance
 from amrpic.io.writer_ranks import Writers
 
 DOMAIN = Domain(lower=(-0.15, -0.3, 0.1), upper=(0.09, 0.18, 0.74), cells=(24, 16, 32), boundary="dirichlet")
@@ -36,5 +36,5 @@ def dumped(comm: MPI.Comm) -> tuple[Hierarchy, dict[str, Any]]:
 def write(comm: MPI.Comm, path: Path, writers: int = 1) -> Hierarchy:
     """Write the dump, and return its hierarchy. Collective."""
     hierarchy, values = dumped(comm)
-    vtkhdf_writer.write(path, hierarchy, values, STEP, TIME, ABOUT, Writers(writers))
+    vtkhdf_writer.write(path, hierarchy, values, Moment(STEP, TIME), ABOUT, Writers(writers))
     return hierarchy

@@ -26,8 +26,7 @@ from amrpic.stages.gather import compensate, gather
 from amrpic.stages.migrate import migrate
 from amrpic.stages.poisson import PoissonSolver
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE
-from amrpic.verify.charts import picture
-from amrpic.verify.table import Cell, Goal, Table
+from amrpic.verify.table import Cell, Goal, Table, picture
 from exact.runs import collected, states
 from exact.sources import EPS0, Gaussian
 

@@ -16,8 +16,7 @@ from mpi4py import MPI
 
 from amrpic.pic.state import State
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE, SPEED_OF_LIGHT
-from amrpic.verify.charts import picture
-from amrpic.verify.table import Cell, Goal, Table
+from amrpic.verify.table import Cell, Goal, Table, picture
 from exact.runs import collected, states
 
 REFERENCE = "beam_line.json"  # written by `python benchmarks impactx_line`

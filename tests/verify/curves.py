@@ -8,8 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from amrpic.verify.charts import MARKERS, picture
-from amrpic.verify.table import Table
+from amrpic.verify.table import MARKERS, Table, picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

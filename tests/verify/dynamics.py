@@ -8,7 +8,7 @@ import numpy as np
 from mpi4py import MPI
 from scipy.integrate import solve_ivp
 
-from amrpic.particles.equivalent_beam import ellipsoid_gradient
+from amrpic.particles.thermal_equilibrium import ellipsoid_gradient
 from amrpic.stages.push import PUSHERS
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE, SPEED_OF_LIGHT
 from amrpic.verify.table import Cell, Goal, Table

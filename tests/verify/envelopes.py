@@ -15,8 +15,7 @@ from scipy.linalg import expm
 from scipy.optimize import brentq, root
 
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE, SPEED_OF_LIGHT
-from amrpic.verify.charts import picture
-from amrpic.verify.table import Cell, Goal, Table
+from amrpic.verify.table import Cell, Goal, Table, picture
 from exact.channel import (
     DEPRESSION,
     FOCUSING,

@@ -13,8 +13,7 @@ from mpi4py import MPI
 from amrpic.pic.state import State
 from amrpic.pic.step import advance, begin
 from amrpic.scene.scene import Scene
-from amrpic.verify.charts import picture
-from amrpic.verify.table import Goal, Table
+from amrpic.verify.table import Goal, Table, picture
 from exact.channel import DEPRESSION, FOCUSING, LENGTH, OMEGA, PERIOD, RADIUS, Envelope, constant, matched, slab
 from exact.runs import collected
 

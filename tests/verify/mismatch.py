@@ -19,8 +19,7 @@ from amrpic.pic.state import State
 from amrpic.pic.step import advance, begin
 from amrpic.scene.scene import Scene
 from amrpic.stages.beam_diagnostics import FRACTIONS, group_moments, group_quantiles
-from amrpic.verify.charts import picture
-from amrpic.verify.table import Cell, Goal, Table
+from amrpic.verify.table import Cell, Goal, Table, picture
 from exact.channel import DEPRESSION, FOCUSING, PERIOD, RADIUS, constant, matched, slab, thermal
 
 from .halo import particle_core

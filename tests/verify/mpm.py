@@ -18,8 +18,7 @@ from amrpic.mpm.conditions import held_by
 from amrpic.mpm.state import LoadState, Plan
 from amrpic.mpm.step import begin
 from amrpic.parallel import from_rank_0, global_sum
-from amrpic.verify.charts import picture
-from amrpic.verify.table import Cell, Goal, Table
+from amrpic.verify.table import Cell, Goal, Table, picture
 from exact.press import exact_stress
 
 from .curves import Curves

@@ -17,9 +17,8 @@ from amrpic.mesh.field import Field
 from amrpic.particles.clouds import CompensationKind, Shape
 from amrpic.particles.uniform_numbers import draw
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE, SPEED_OF_LIGHT
-from amrpic.verify.charts import picture
 from amrpic.verify.described import before_shift
-from amrpic.verify.table import Cell, Goal, Table
+from amrpic.verify.table import Cell, Goal, Table, picture
 from exact.runs import states
 from exact.sources import EPS0
 

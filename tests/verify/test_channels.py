@@ -9,7 +9,7 @@ import pytest
 from mpi4py import MPI
 from scipy.integrate import solve_ivp
 
-from amrpic.particles.equivalent_beam import line_gradient, tune_depression
+from amrpic.particles.thermal_equilibrium import line_gradient, tune_depression
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE, SPEED_OF_LIGHT
 from exact.channel import LENGTH, OMEGA, PERIOD, RADIUS, constant, matched
 from verify import envelopes, halo, mismatch

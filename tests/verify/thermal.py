@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
-from amrpic.verify.charts import picture
-from amrpic.verify.table import Cell, Goal, Table
+from amrpic.verify.table import Cell, Goal, Table, picture
 from exact.channel import CELLS, DEPRESSION, FOCUSING, PERIOD, PIPE, RADIUS, slab, thermal
 from exact.runs import states
 

@@ -9,8 +9,7 @@ import numpy as np
 from mpi4py import MPI
 
 from amrpic.units import ELECTRON_MASS, SPEED_OF_LIGHT
-from amrpic.verify.charts import picture
-from amrpic.verify.table import Goal, Table
+from amrpic.verify.table import Goal, Table, picture
 from exact.runs import states
 
 GAMMA = 20.0

@@ -8,7 +8,7 @@ import pytest
 from amrpic import Domain, Field, Hierarchy, VectorField
 from amrpic.io import vtkhdf_writer
 from amrpic.io.field_reader import Dump, LiveDump
-from amrpic.io.provenance import Provenance
+from amrpic.io.provenance import Moment, Provenance
 from amrpic.mesh import raster
 from amrpic.view import draw, views
 
@@ -24,8 +24,8 @@ def test_ranks_together_show_what_the_dump_shows(comm, tmp_path):
     efield = VectorField(*(Field(hierarchy, "V/m").fill(lambda *at, i=i: at[i]) for i in range(3)))
     fields: dict[str, Field | VectorField] = {"phi": phi, "rho": rho.average_down(), "E": efield}
     path = vtkhdf_writer.path_of(tmp_path, 3)
-    vtkhdf_writer.write(path, hierarchy, fields, 3, 2e-9, Provenance())
-    live = LiveDump(path, hierarchy, fields, 3, 2e-9)
+    vtkhdf_writer.write(path, hierarchy, fields, Moment(3, 2e-9), Provenance())
+    live = LiveDump(path, hierarchy, fields, Moment(3, 2e-9))
     with Dump(path) as dump:
         spread, expected = raster.spread_of(live), raster.spread_of(dump)
         assert spread.charge == pytest.approx(expected.charge, rel=1e-13, abs=0)

@@ -12,7 +12,7 @@ from amrpic.commands.main import parser
 from amrpic.errors import InputError
 from amrpic.io import time_series
 from amrpic.io.provenance import Provenance
-from amrpic.stages.loss_map import COLUMNS
+from amrpic.pic.loss_files import COLUMNS
 from amrpic.view import loss_plots
 
 ROWS: list[dict[str, Any]] = [

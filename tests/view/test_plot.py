@@ -12,7 +12,7 @@ from amrpic import Domain, Field, Hierarchy, Scene, Simulation, VectorField
 from amrpic.errors import InputError, OutputError
 from amrpic.io import vtkhdf_writer
 from amrpic.io.field_reader import CheckpointDump, Dump, open_dump
-from amrpic.io.provenance import Provenance
+from amrpic.io.provenance import Moment, Provenance
 from amrpic.mesh import raster
 from amrpic.units import quantity
 from amrpic.view import draw, figures, views
@@ -28,7 +28,7 @@ def dumped(comm, folder, density):
     efield = VectorField(*(Field(hierarchy, "V/m").fill(lambda *at, i=i: at[i]) for i in range(3)))
     rho = Field(hierarchy, "C/m^3").fill(density).average_down()
     path = vtkhdf_writer.path_of(folder, 3)
-    vtkhdf_writer.write(path, hierarchy, {"phi": phi, "rho": rho, "E": efield}, 3, 2e-9, Provenance())
+    vtkhdf_writer.write(path, hierarchy, {"phi": phi, "rho": rho, "E": efield}, Moment(3, 2e-9), Provenance())
     return path
 
 

@@ -129,8 +129,7 @@ class Results:
     @cached_property
     def fields(self) -> Mapping[int, DumpedFields]:
         """The fields by step, of field files and, where there are none, of checkpoints."""
-        checkpoints = () if self.of_points else ("checkpoint_*",)
-        return Dumps(self.comm, self._dumps("fields_*.vtkhdf", *checkpoints))
+        return Dumps(self.comm, self._dumps("fields_*.vtkhdf", "checkpoint_*"))
 
     def particles(self, step: int | None = None) -> Particles:
         """Return this rank's share of the particles at a step, the latest if none is given, in the laboratory. Collective."""

@@ -357,9 +357,9 @@ void PoissonSolver::iterate(SolveReport& report, Field const& rho, Field& phi, b
 }
 
 /// Whether so many cycles, and those to come at the pace of the latest one, are more than nine for ten digits, eleven
-/// where cells are long, or seven beside metal, whose holes may be closed on coarse levels; in fourth order four more,
-/// or eight with Dirichlet walls. Where the factors of corrections differ, the pace is that of all of them in turn, and
-/// not known before.
+/// where cells are long, or seven beside metal on a single level, as its holes may be closed on coarse ones, and cycles
+/// over refined levels are more in any case; in fourth order four more, or eight with Dirichlet walls. Where the
+/// factors of corrections differ, the pace is that of all of them in turn, and not known before.
 bool PoissonSolver::is_slow(std::vector<Real> const& residuals) const {
   Real const residual = residuals.back();
   std::size_t const cycles = residuals.size() - 1, back = backend_->steps_in_turn();
@@ -367,7 +367,7 @@ bool PoissonSolver::is_slow(std::vector<Real> const& residuals) const {
   Real const factor = std::pow(residual / residuals[cycles - back], Real(1) / Real(back));
   if (factor >= 1) return true;
   Real const tolerance = std::clamp(options_.tolerance, 1e-10, 0.1);
-  Real most = has_long_cells(hierarchy_->level(0)) ? 11 : metal_ ? 7 : 9;
+  Real most = has_long_cells(hierarchy_->level(0)) ? 11 : metal_ && hierarchy_->level_count() == 1 ? 7 : 9;
   if (options_.order == 4) most += hierarchy_->domain().has(Boundary::dirichlet) ? 8 : 4;
   return Real(cycles) + std::log(tolerance / residual) / std::log(factor) > most * std::log10(1 / tolerance) / 10;
 }

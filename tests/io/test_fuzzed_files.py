@@ -193,7 +193,7 @@ def test_a_damaged_table_of_a_dumps_groups_is_one_sentence(whole, monkeypatch):
     def look(h5, folder):
         raise RuntimeError("Unable to check link existence (bad symbol table node signature)")
 
-    monkeypatch.setattr("amrpic.io.field_reader.require_parts", look)
+    monkeypatch.setattr("amrpic.io.shared_file.require_parts", look)
     with pytest.raises(InputError, match=r"cannot be read: Unable to check link existence .*; give a fields_"):
         open_dump(whole / "fields_00000004.vtkhdf")
 

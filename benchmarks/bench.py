@@ -65,6 +65,12 @@ def parts(backend: str, quick: bool, runs: int) -> list[Part]:
             for ranks in (1, 2)
         ),
         *(Part("walls", "walls", ranks, options) for ranks in walls),
+        Part(
+            "electrodes",
+            "electrodes",
+            1,
+            (*repeats_of_gamma, *(("--scenes", "sphere 64 and 2 levels") if quick else ())),
+        ),
         Part("orders", "orders", 1, ("--cells", "64") if quick else repeats_of_gamma),
         Part("bases", "bases", 0, ("--bases", "72", "100", "--runs", "3") if quick else ()),
         *(() if quick else (Part("gamma", "gamma", 0, repeats_of_gamma),)),

@@ -9,6 +9,8 @@ from statistics import median
 from typing import Any
 
 from bases import base_of, base_ratio, is_base
+from electrodes import SCENES as SCENES_OF_METAL
+from electrodes import name as metal_name
 from gamma import CUBES, gamma_ratio, memory_ratio
 from least_squares import ORDERS
 from least_squares import record_name as stencil_record
@@ -115,6 +117,7 @@ def goals(records: Sequence[Record]) -> list[Goal]:
             long_cells,
             memory,
             setup,
+            metal,
             of_order_4,
             assembly,
             particles,
@@ -297,6 +300,20 @@ def setup(found: Found) -> Iterator[Goal]:
     yield Goal("bunch 64: regrid with φ carried over against a solve to 1e-6", found.ratio(regrid, solve), 1, unit="×")
     walls = found.ratio(walls_name(144, "open"), walls_name(144, "dirichlet"))
     yield Goal("open walls against grounded ones, ten_bunches 144", walls, 1.5, 1.15, "×")
+
+
+def metal(found: Found) -> Iterator[Goal]:
+    for scene in SCENES_OF_METAL:
+        beside, plain = (
+            [metal_name(scene, has, what) for what in ("cycle", "solve", "set-up")] for has in (True, False)
+        )
+        for what, mine, other, must in zip(("cycle", "solve"), beside, plain, (1.25, 1.6), strict=False):
+            yield Goal(
+                f"{scene}: time of a {what} with electrodes over one without", found.ratio(mine, other), must, unit="×"
+            )
+        more = found.fact(beside[1], "cycles") - found.fact(plain[1], "cycles")
+        yield Goal(f"{scene}: cycles more with electrodes", more, 2)
+        yield Goal(f"{scene}: set-up with electrodes over a solve", found.ratio(beside[2], beside[1]), 1, unit="×")
 
 
 def of_order_4(found: Found) -> Iterator[Goal]:

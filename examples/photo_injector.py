@@ -101,9 +101,10 @@ def scene(folder: Path, cells: int, step: float, particles: int, levels: int, le
             "refinement": {
                 "levels": levels,
                 "regrid_every": 5,
+                "blocking_factor": 4,
                 "rule": {
                     "kind": "any",
-                    "of": [{"kind": "charge-density", "relative": 0.02}, {"kind": "emission", "cells": 4}],
+                    "of": [{"kind": "charge-density", "relative": 0.1}, {"kind": "emission", "cells": 4}],
                 },
             },
             "solver": {"tolerance": "discretization"},

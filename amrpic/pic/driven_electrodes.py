@@ -89,9 +89,8 @@ def make_solids(scene: Scene) -> dict[str, Electrode]:
 
 def collected(comm: MPI.Comm, lost: Record, electrodes: Sequence[Electrode]) -> dict[str, float]:
     """Return the charge of the particles that hit each electrode so far, C. Collective."""
-    sums = np.bincount(lost.cause, lost.particles.weight * lost.particles.charge, minlength=len(lost.names))
-    numbers = [lost.names.index(e.name) if e.name in lost.names else -1 for e in electrodes]
-    own = np.array([sums[number] if number >= 0 else 0.0 for number in numbers])
+    own_charges = dict(zip(lost.names, lost.charges, strict=True))
+    own = np.array([own_charges.get(e.name, 0.0) for e in electrodes])
     return dict(zip((e.name for e in electrodes), comm.allreduce(own).tolist(), strict=True))
 
 

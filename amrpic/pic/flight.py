@@ -175,4 +175,4 @@ def _record(
     met: Encounters, momentum: np.ndarray, particles: Particles, time: np.ndarray, names: Sequence[str]
 ) -> Record:
     struck = particles.select(met.flight).replace(met.place, momentum)
-    return Record(struck, time, met.direction, met.what, tuple(names))
+    return Record.of(struck, time, met.direction, met.what, names)

@@ -134,9 +134,8 @@ class ParticleRecorder(Recorder[State]):
         self._fills.check({"all": beam.fill})
         electrodes = self._setup.drive(state.time, state.window, state.lost).electrodes
         in_metal = tag.at_electrodes(state.hierarchy, electrodes, remembered_insides) if electrodes else ()
-        measured = measure(
-            state.particles, beam, state.lost.particles, state.rho, state.phi, state.efield, state.seconds, in_metal
-        )
+        lost = len(state.lost), float(state.lost.charges.sum())
+        measured = measure(state.particles, beam, lost, state.rho, state.phi, state.efield, state.seconds, in_metal)
         if measured["particles"] == 0 and measured["lost_particles"] > 0:
             self._setup.remarks.remark(
                 "all particles have left the domain or met apertures; enlarge them, or shorten the run or its steps"

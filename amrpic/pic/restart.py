@@ -72,7 +72,9 @@ FOLLOWED = (
 
 
 def snapshot(state: State, setup: Setup) -> Snapshot:
-    """Return the whole state as a checkpoint takes it: arrays shared, not copied; of fields from Python the names."""
+    """Return the whole state as a checkpoint takes it: arrays shared, not copied; of fields from Python the
+    names. Collective.
+    """
     hierarchy, particles, report, scene = state.hierarchy, state.synchronized, state.report, setup.scene
     columns = _columns(particles)
     lag = state.staggered.lag_to_keep
@@ -100,6 +102,7 @@ def snapshot(state: State, setup: Setup) -> Snapshot:
             "compensation_by_auto": setup.compensation_by_auto,
             "servers": state.particles.sorted_on(hierarchy).servers.tolist(),
             "names": {"lost": state.lost.names, "screens": state.screens.names},
+            "lost_charges": setup.comm.allgather(state.lost.charges.tolist()),  # of each rank, to the last bit
         },
     )
     fields = {name: [field.array(level) for level in range(hierarchy.levels)] for name, field in _fields(state).items()}
@@ -182,6 +185,8 @@ def _state(setup: Setup, snapshot: Snapshot, stored: Hierarchy, hierarchy: Hiera
     course = Course.from_dict(extra["course"]).on_base_of(setup.scene, setup.emitters)
     step, time = snapshot.header.step, snapshot.header.time
     lost, screens = (_recorded(snapshot.tables[of], species, extra["names"][of]) for of in ("lost", "screens"))
+    if len(of_ranks := extra.get("lost_charges", ())) == setup.comm.size:
+        lost = replace(lost, charges=np.array(of_ranks[setup.comm.rank]))
     drive = setup.solvers.drive = setup.drive(time, course.window, lost)
     last = _solution(setup, fields, extra)
     beam, solution = MeshedParticles(particles, hierarchy, last.frames, drive=drive), last
@@ -273,7 +278,7 @@ def _frames(extra: Mapping[str, Any]) -> Frames:
 
 
 def _recorded(table: Mapping[str, np.ndarray], species: SpeciesTable, names: Sequence[str]) -> Record:
-    return Record(_particles(table, species), table["time"], table["direction"], table["cause"], tuple(names))
+    return Record.of(_particles(table, species), table["time"], table["direction"], table["cause"], names)
 
 
 def _table(record: Record) -> dict[str, np.ndarray]:

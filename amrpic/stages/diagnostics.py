@@ -56,7 +56,7 @@ def quantities(levels: int) -> list[Column]:
 def measure(
     particles: Particles,
     beam: Moments,
-    lost: Particles,
+    lost: tuple[int, float],
     rho: Field,
     phi: Field,
     efield: VectorField,
@@ -66,16 +66,17 @@ def measure(
     """Return what can be measured of particles, whose moments are known, and fields at one time. Collective.
 
     `charge` is that of the composite grid. `seconds` per stage are those of the slowest rank; levels that do not exist
-    have no entry. `in_metal` (n,) of each level: this rank's cells of no field energy.
+    have no entry. `lost`: how many particles of this rank, and their charge, C. `in_metal` (n,) of each level: this rank's
+    cells of no field energy.
     """
     hierarchy = rho.hierarchy
     of_all = global_sums_and_largest(
         hierarchy.comm,
         {
             "particles": len(particles),
-            "lost_particles": len(lost),
+            "lost_particles": lost[0],
             "charge": rho.own_integral(),
-            "lost_charge": lost.own_charge,
+            "lost_charge": lost[1],
             "field_energy": _energy_of_square(_outside(efield, in_metal).own_integral_of_square()),
             "potential_energy": _energy_of_product(_own_product(rho, phi, efield.compensation)),
         },

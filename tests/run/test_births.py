@@ -120,6 +120,32 @@ def test_what_is_born_flies_or_is_lost(comm):
     assert causes[4] > 0 and causes[5] > 0 and causes[:4].sum() == 0
 
 
+def test_memory_follows_the_number_of_particles_in_flight():
+    """Of 200,000 that are born in ten steps and fly through the gap nothing is left but the record of their losses."""
+    pulse = {"charge": -1e-20, "particles": 200_000, "pulse": {"shape": "flat", "length": 10 * STEP}}
+    run = Simulation(MPI.COMM_SELF, scene({**pulse, "momenta": beam_of(2 * SLOW)}, schedule={"steps": 80}))
+
+    def held() -> int:
+        particles = run.particles
+        bases = {id(of): of for of in map(_memory_of, particles.arrays)}
+        return sum(of.nbytes for of in bases.values())
+
+    begun = held()
+    run.advance(12)
+    assert len(run.particles) == 200_000 and 64 * 200_000 <= held() < 1.1 * 64 * 200_000
+    run.advance(60)
+    assert len(run.particles) == 0 and held() <= begun + 2**16
+    assert len(run.lost) == 200_000 and run.lost.particles.own_charge == pytest.approx(-1e-20, rel=1e-12)
+    assert run.lost.charges.sum() == pytest.approx(-1e-20, rel=1e-12)
+    assert _memory_of(run.lost.time).nbytes <= 1.5 * 8 * 8 * 200_000
+
+
+def _memory_of(array: np.ndarray) -> np.ndarray:
+    while isinstance(array.base, np.ndarray):
+        array = array.base
+    return array
+
+
 PULSE = {"charge": -1e-14, "particles": 3000, "pulse": {"shape": "gaussian", "sigma": 4 * STEP, "cutoff": 2}}
 
 

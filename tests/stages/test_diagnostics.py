@@ -103,7 +103,9 @@ def test_a_state_without_particles_can_be_measured(comm):
     beam = Particles.empty(ELECTRONS)
     seconds = {"solve": 1.0 + comm.rank}
     moments = diagnostics.moments(comm, beam)
-    row = diagnostics.measure(beam, moments, beam, nothing, nothing, VectorField(nothing, nothing, nothing), seconds)
+    row = diagnostics.measure(
+        beam, moments, (0, 0.0), nothing, nothing, VectorField(nothing, nothing, nothing), seconds
+    )
     assert (row["particles"], row["charge"], row["field_energy"], row["kinetic_energy"]) == (0, 0, 0, 0)
     assert np.isnan(row["rms_x"])
     assert row["seconds_solve"] == comm.size

@@ -6,6 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
@@ -184,7 +185,7 @@ class Combination(Shape):
     def surfaces(self) -> int:
         return sum(part.surfaces for part in self.parts)
 
-    @property
+    @cached_property
     def bounds(self) -> tuple[Point, Point]:
         if self.kind == "difference":
             return self.parts[0].bounds
@@ -226,6 +227,10 @@ def _of_part(part: Shape, start: Columns, direction: Columns) -> Spans:
 
 
 def _meets(bounds: tuple[Point, Point], start: Columns, direction: Columns) -> NDArray[np.bool_]:
+    across = [axis for axis in range(3) if not direction[axis].any()]
+    if len(across) == 2:  # lines along an axis
+        within = [(start[a] >= bounds[0][a]) & (start[a] <= bounds[1][a]) for a in across]
+        return np.asarray(within[0] & within[1])
     enter, leave = slabs(bounds, start, direction)
     margin = 1e-9 * (abs(enter) + abs(leave))
     return ~(enter > leave + np.where(np.isfinite(margin), margin, 0.0))

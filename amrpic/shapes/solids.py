@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 from typing import cast
 
 import numpy as np
@@ -212,7 +213,7 @@ class Cone(Convex):
             )
         set_fields(self, start=start, end=end, radius_start=radii[0], radius_end=radii[1])
 
-    @property
+    @cached_property
     def bounds(self) -> tuple[Point, Point]:
         axis = checks.direction("Cone", np.subtract(self.end, self.start))
         ends = [
@@ -254,7 +255,7 @@ class Cylinder(Convex):
         checks.differ("Cylinder: start and end", start, end)
         set_fields(self, start=start, end=end, radius=checks.positive("Cylinder: radius", self.radius))
 
-    @property
+    @cached_property
     def _cone(self) -> Cone:
         return Cone(self.start, self.end, self.radius, self.radius)
 

@@ -85,14 +85,16 @@ def arms_of_boxes(
     The centre of a cell lies at `origin` + (index + 1/2) · `spacing`, m.
     An electrode comes before later ones where they overlap. Contacts are those on lines through cells of these boxes.
     """
-    cells, owner, crossings, touching = traced_boxes(electrodes, boxes, origin, spacing)
-    return assembled(cells, owner, crossings), touching
+    cells, owner, crossings, lines = traced_boxes(electrodes, boxes, origin, spacing)
+    slack = TOUCH * Lattice.of(origin, spacing).spacing
+    return assembled(cells, owner, crossings), list(contacts(electrodes, lines, slack))
 
 
 def traced_boxes(
     electrodes: Sequence[Conductor], boxes: ArrayLike, origin: ArrayLike, spacing: ArrayLike
-) -> tuple[GrownBoxes, NDArray[np.int32], list[Crossings], list[Contact]]:
-    """Return grown boxes, the electrode that owns each of their cells or -1, the arms that metal cuts, and contacts."""
+) -> tuple[GrownBoxes, NDArray[np.int32], list[Crossings], list[list[LineSpans]]]:
+    """Return grown boxes, the electrode that owns each of their cells or -1, the arms that metal cuts, and the spans of each
+    electrode on lines along x, y and z, none where it is elsewhere."""
     lattice = Lattice.of(origin, spacing)
     cells = GrownBoxes.around(np.reshape(np.asarray(boxes, np.int64), (-1, 6)))
     owner, axes = np.full(cells.total, -1, np.int32), np.zeros(cells.total, np.uint8)
@@ -107,7 +109,7 @@ def traced_boxes(
             _native.mark_in_metal(*traced.solid_cells(cells, lattice), number, axis, owner, axes)
             crossings += traced.crossings(cells, lattice, number)
     crossings.append(unseen(cells, owner, axes))
-    return cells, owner, crossings, list(contacts(electrodes, lines, TOUCH * lattice.spacing))
+    return cells, owner, crossings, lines
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,7 +252,7 @@ def trace(shape: Shape, cells: GrownBoxes, lattice: Lattice, axis: int) -> Trace
     across, up = np.divmod(ramp(count), np.maximum(size[box, u], 1))
     at_u, at_v = lower[box, u] + up, lower[box, v] + across
     (ku, kv), line = lines_through(at_u, at_v)
-    key = ku * (2 * FAR) + kv
+    key = key_of(ku, kv)
     place = np.zeros((len(key), 3))
     place[:, u], place[:, v] = lattice.centre(u, ku), lattice.centre(v, kv)
     spans = shape.spans(place, axis)
@@ -263,6 +265,17 @@ def trace(shape: Shape, cells: GrownBoxes, lattice: Lattice, axis: int) -> Trace
     for a, index in ((u, at_u), (v, at_v)):
         inner &= (cells.lower[box, a] < index) & (index < cells.upper[box, a])
     return Traced(LineSpans(axis, key, place, spans), span, *(np.repeat(part, count) for part in (box, base, inner)))
+
+
+def key_of(u: Ints, v: Ints) -> Ints:
+    """Return numbers of lines, one for each pair of indices."""
+    return u * (2 * FAR) + v
+
+
+def indices_of(key: Ints) -> tuple[Ints, Ints]:
+    """Return the indices that `key_of` was given."""
+    u = (key + FAR) // (2 * FAR)
+    return u, key - u * (2 * FAR)
 
 
 def lines_through(u: Ints, v: Ints) -> tuple[tuple[Ints, Ints], Ints]:

@@ -54,7 +54,8 @@ def sentence_of_gap(two: Sequence[Conductor], gap: Gap) -> str:
     first, second = (metal.name for metal in two)
     return (
         f"{first} and {second} are {width:.3g} m apart at ({x:.6g}, {y:.6g}, {z:.6g}) m, with no centre of a cell "
-        "between them there, so that the charge on both sides of the gap is missed; refine there"
+        "between them there, so that the charge on both sides of the gap is that of parallel plates, and particles in it "
+        "feel no field; refine there"
     )
 
 

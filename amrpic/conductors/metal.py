@@ -5,8 +5,10 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .. import _native
 from ..errors import InputError, SolverError
@@ -16,6 +18,8 @@ from ..shapes.spans import Floats
 from .arms import TOUCH, GrownBoxes, Lattice, arms_of_boxes, cut_cells, indices, trace, traced_boxes
 from .conductor import Conductor
 from .contacts import Contact, LineSpans, apart, contacts, narrowest, sentence, sentence_at_wall, sentence_of_gap
+from .gaps import NO_GAPS, Gaps
+from .gaps import gaps as gaps_on
 
 # Lines by which two electrodes are compared without a mesh: so many at least along each side of where both can be, halving the
 # spacing at most so often, and about so many at most along each axis.
@@ -23,19 +27,52 @@ FEWEST_LINES, MOST_HALVINGS, MOST_LINES = 64, 12, 2**17
 Answer = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
+class Seen(NamedTuple):
+    """What boxes of a level have of electrodes."""
+
+    answer: Answer  # first cells, lengths and electrodes of runs in metal, cut cells, their arms and what cuts these
+    gaps: Gaps
+    contacts: list[Contact]
+
+    def digest(self) -> bytes:
+        """Return bytes that answers and gaps share with equal ones alone."""
+        digest = hashlib.blake2b(digest_size=16)
+        for part in (*self.answer, *self.gaps):
+            digest.update(np.ascontiguousarray(part).data)
+            digest.update(b"%d" % len(part))
+        return digest.digest()
+
+
 class MetalOnMesh:
-    """Electrodes for a native solver, whose lengths are those of a domain from `lower` on, times `stretch`."""
+    """Electrodes for a native solver, whose lengths are those of a domain from `lower` on, times `stretch`.
+
+    `walls` (2, 3): lower and upper faces of the domain that hold a potential, m; infinite where none does.
+    """
 
     def __init__(
-        self, electrodes: Sequence[Conductor], lower: Sequence[float], stretch: Sequence[float] = (1, 1, 1)
+        self,
+        electrodes: Sequence[Conductor],
+        lower: Sequence[float],
+        walls: ArrayLike,
+        stretch: Sequence[float] = (1, 1, 1),
     ) -> None:
         self._electrodes, self._lower, self._stretch = tuple(electrodes), lower, np.array(stretch, float)
+        self._walls = np.asarray(walls, float)
         self._contacts: list[Contact] = []
+        self._gaps: list[tuple[Sequence[float], Gaps]] = []
         self._answers: list[tuple[Sequence[Sequence[int]], Sequence[float], bytes]] = []
 
     def native(self) -> _native.Metal:
         """Return what a native solver asks; it keeps this object alive."""
         return _native.Metal(len(self._electrodes), self._ask)
+
+    def gaps(self, spacing: ArrayLike) -> Gaps:
+        """Return the gaps on lines of cells of a spacing (3,), m, that this rank has asked about, each once. Local."""
+        widths = np.multiply(spacing, self._stretch)
+        parts = [NO_GAPS, *(gaps for asked, gaps in self._gaps if np.allclose(asked, widths, rtol=1e-9, atol=0))]
+        arms, width = (np.concatenate(column) for column in zip(*parts, strict=True))
+        each = np.unique(arms, axis=0, return_index=True)[1]
+        return Gaps(arms[each], width[each])
 
     def finish(self) -> None:
         """Raise SolverError, if electrodes of different voltages touch where this rank has asked. Local."""
@@ -54,7 +91,7 @@ class MetalOnMesh:
                 # coarse levels first: these take no time
                 questions = sorted(self._answers, key=lambda question: len(question[0]))
                 same = all(
-                    _digest(self._found(electrodes, boxes, widths)[0]) == answer for boxes, widths, answer in questions
+                    self._seen(electrodes, boxes, widths).digest() == digest for boxes, widths, digest in questions
                 )
             if not comm.allreduce(same, MPI.LAND):
                 return False
@@ -62,33 +99,25 @@ class MetalOnMesh:
         return True
 
     def _ask(self, boxes: Sequence[Sequence[int]], spacing: Sequence[float]) -> Answer:
-        """Return first cells, lengths and electrodes of runs in metal, cut cells, their arms and what cuts these."""
-        answer, contacts = self._found(self._electrodes, boxes, spacing)
-        self._contacts += contacts
-        self._answers.append((boxes, spacing, _digest(answer)))
-        return answer
+        seen = self._seen(self._electrodes, boxes, spacing)
+        self._contacts += seen.contacts
+        if len(seen.gaps.width):
+            self._gaps.append((spacing, seen.gaps))
+        self._answers.append((boxes, spacing, seen.digest()))
+        return seen.answer
 
-    def _found(
-        self, electrodes: Sequence[Conductor], boxes: Sequence[Sequence[int]], spacing: Sequence[float]
-    ) -> tuple[Answer, list[Contact]]:
-        cells, owner, crossings, contacts = traced_boxes(
-            electrodes, boxes, self._lower, np.divide(spacing, self._stretch)
-        )
+    def _seen(self, electrodes: Sequence[Conductor], boxes: Sequence[Sequence[int]], spacing: Sequence[float]) -> Seen:
+        lattice = Lattice.of(self._lower, np.divide(spacing, self._stretch))
+        cells, owner, crossings, lines = traced_boxes(electrodes, boxes, lattice.origin, lattice.spacing)
         cut = cut_cells(cells, owner, crossings)
-        return (
+        answer = (
             *_native.runs_in_metal(np.asarray(boxes, np.int32), owner),
             indices(boxes, cut.cell, cut.first),
             cut.theta,
             cut.electrode,
-        ), contacts
-
-
-def _digest(answer: Answer) -> bytes:
-    digest = hashlib.blake2b(digest_size=16)
-    for part in answer:
-        digest.update(np.ascontiguousarray(part).data)
-        digest.update(b"%d" % len(part))
-    return digest.digest()
+        )
+        touching = contacts(electrodes, lines, TOUCH * lattice.spacing)
+        return Seen(answer, gaps_on(lines, lattice, self._walls), list(touching))
 
 
 def refuse_contacts(

@@ -69,6 +69,10 @@ class Domain:
         """Length in m after which space repeats along an axis; infinity where it does not."""
         return self.upper[axis] - self.lower[axis] if self.periodic[axis] else np.inf
 
+    def faces(self, kind: str) -> np.ndarray:
+        """Return the coordinates of the lower and the upper faces of a kind (2, 3), m; -inf and inf for other ones."""
+        return np.where(np.equal(self.boundary, kind).T, (self.lower, self.upper), ((-np.inf,), (np.inf,)))
+
     @property
     def singular(self) -> bool:
         """Whether the faces fix the potential only up to a constant."""

@@ -134,7 +134,12 @@ class PoissonSolver:
         self.electrodes = tuple(electrodes)
         if self.electrodes and (refusal := _electrodes_refusal(self.electrodes, hierarchy, chosen, mirror)):
             raise SolverError(refusal)
-        metal = MetalOnMesh(self.electrodes, hierarchy.domain.lower, chosen.stretch) if self.electrodes else None
+        domain = hierarchy.domain
+        metal = (
+            MetalOnMesh(self.electrodes, domain.lower, domain.faces("dirichlet"), chosen.stretch)
+            if self.electrodes
+            else None
+        )
         self.metal = metal  # as its cells see it; None without electrodes
         self._unit_potentials: list[Field] | None = None  # of each electrode at 1 V, when they are first needed
         self._unit_walls: list[list[np.ndarray]] = []  # what walls, open ones too, hold then
@@ -163,6 +168,8 @@ class PoissonSolver:
         if metal is not None:
             with together(hierarchy.comm, SolverError):
                 metal.finish()
+                for level in range(hierarchy.levels):
+                    self.native.add_gaps(level, *metal.gaps(hierarchy.spacing(level)))
             self._require_arms_at_electrodes()
 
     def takes(self, electrodes: Sequence[Electrode]) -> bool:

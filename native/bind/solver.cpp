@@ -122,6 +122,7 @@ void bind_solver(nb::module_& m) {
   using Owners = nb::ndarray<std::int32_t const, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
   using Arms = nb::ndarray<Real const, nb::shape<-1, 6>, nb::c_contig, nb::device::cpu>;
   using Surfaces = nb::ndarray<std::int32_t const, nb::shape<-1, 6>, nb::c_contig, nb::device::cpu>;
+  using Widths = nb::ndarray<Real const, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
   nb::class_<Metal>(m, "Metal")
       .def(
           "__init__",
@@ -163,6 +164,16 @@ void bind_solver(nb::module_& m) {
           },
           "hierarchy"_a, "options"_a, "reusable"_a, "metal"_a.none() = nullptr)
       .def("set_potentials", &PoissonSolver::set_potentials, "potentials"_a)
+      .def(
+          "add_gaps",
+          [](PoissonSolver& solver, int level, Surfaces const& gaps, Widths const& widths) {
+            // of each gap: cell (3), axis, electrodes below and above
+            std::vector<Gap> out;
+            for (std::size_t n = 0; n < gaps.shape(0); ++n)
+              out.push_back({{gaps(n, 0), gaps(n, 1), gaps(n, 2)}, gaps(n, 3), {gaps(n, 4), gaps(n, 5)}, widths(n)});
+            solver.add_gaps(level, out);
+          },
+          "level"_a, "gaps"_a, "widths"_a)
       .def("charges", &PoissonSolver::charges, "phi"_a, "rho"_a, nb::call_guard<nb::gil_scoped_release>())
       .def("sights", &PoissonSolver::sights, nb::call_guard<nb::gil_scoped_release>())
       .def("solve", &PoissonSolver::solve, "rho"_a, "phi"_a, "from_zero"_a, "known"_a, "deposited"_a,

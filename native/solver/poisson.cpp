@@ -3,7 +3,9 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <map>
 #include <sstream>
+#include <utility>
 
 #include "base/constants.hpp"
 #include "base/error.hpp"
@@ -106,10 +108,68 @@ void PoissonSolver::continue_walls(freespace::PerFace const& potentials) {
   }
 }
 
+void PoissonSolver::add_gaps(int l, std::vector<Gap> const& gaps) {
+  if (gaps.empty()) return;
+  Level const& level = hierarchy_->level(l);
+  Level const* const finer = l + 1 < hierarchy_->level_count() ? &hierarchy_->level(l + 1) : nullptr;
+  std::map<std::pair<LocalIndex, int>, std::size_t> wall_faces;
+  for (std::size_t i = 0; i < walls_[l].faces.size(); ++i)
+    if (auto const& face = walls_[l].faces[i]; face.kind == Boundary::dirichlet)
+      wall_faces[{face.row, 2 * face.axis + face.side}] = i;
+  for (Gap const& gap : gaps) {
+    Real const h = level.spacing()[gap.axis];
+    Real const capacitance = vacuum_permittivity * given_->level(l).cell_volume() / (h * h * gap.width);
+    std::array<Index3, 2> cell{gap.cell, gap.cell};
+    ++cell[1][gap.axis];
+    std::array<int, 2> box{-1, -1};
+    bool counts = true;  // on this level, and not behind a wall
+    for (std::size_t s = 0; s < 2; ++s) {
+      Index3 const in_domain = level.wrapped(cell[s]);
+      bool const is_behind_wall = !level.domain().contains(in_domain);
+      counts = counts && is_behind_wall == (gap.electrode[s] < 0);
+      if (is_behind_wall) continue;
+      box[s] = level.find(in_domain);
+      counts = counts && !(finer && finer->find(first_child_of(in_domain)) >= 0);
+    }
+    for (std::size_t s = 0; counts && s < 2; ++s) {
+      // Of a face between levels the finer cell has both sides. Behind a periodic face are images.
+      std::size_t const own = box[s] >= 0 ? s : 1 - s;
+      int const b = box[own];
+      bool const is_local = b >= level.first_local_box() && b < level.last_local_box();
+      if (gap.electrode[s] < 0 || !is_local || !level.domain().contains(cell[own])) continue;
+      GapSide side{l,
+                   std::size_t(level.local_offset(b) + LocalIndex(level.box(b).offset(cell[own]))),
+                   gap.electrode[s],
+                   gap.electrode[1 - s],
+                   0,
+                   capacitance,
+                   gap.width};
+      if (side.other < 0) {
+        auto const face = wall_faces.find({LocalIndex(side.place), 2 * gap.axis + 1 - int(s)});
+        if (face == wall_faces.end()) continue;
+        side.face = face->second, side.moment /= wall_arm;
+      } else if (box[0] < 0 || box[1] < 0) {
+        side.moment = 0;  // both are in one cell
+      }
+      gap_sides_.push_back(side);
+    }
+  }
+}
+
+/// Call f(side of a gap, its charge in C). Local.
+template <class F>
+void PoissonSolver::for_each_charge_in_gaps(F&& f) const {
+  for (GapSide const& side : gap_sides_) {
+    Real const other = side.other < 0 ? walls_[side.level].datum[side.face] : potentials_[std::size_t(side.other)];
+    f(side, side.capacitance * (potentials_[std::size_t(side.electrode)] - other));
+  }
+}
+
 std::vector<Real> PoissonSolver::charges(Field const& phi, Field const& rho) {
   std::vector<Real> out(potentials_.size());
   backend_->for_each_charge(phi, rho, [&](int, std::size_t, int on, Real charge) { out[std::size_t(on)] += charge; });
   backend_->for_each_charge_within(rho, [&](int on, Real charge) { out[std::size_t(on)] -= charge; });
+  for_each_charge_in_gaps([&](GapSide const& side, Real charge) { out[std::size_t(side.electrode)] += charge; });
   hierarchy_->comm().sum_each(out);
   return out;
 }
@@ -117,6 +177,7 @@ std::vector<Real> PoissonSolver::charges(Field const& phi, Field const& rho) {
 std::vector<Real> PoissonSolver::sights() {
   std::vector<Real> out(potentials_.size(), -1);
   backend_->for_each_sight([&](int of, Real weight) { out[std::size_t(of)] = std::max(out[std::size_t(of)], weight); });
+  for (GapSide const& side : gap_sides_) out[std::size_t(side.electrode)] = 1;
   hierarchy_->comm().largest_each(out);
   return out;
 }
@@ -126,6 +187,9 @@ std::vector<Real> PoissonSolver::of_induced_charge(Field const& phi, Field const
   Field density(given_);
   backend_->for_each_charge(phi, rho, [&](int l, std::size_t place, int, Real charge) {
     density.level(l)[place] += charge / given_->level(l).cell_volume();
+  });
+  for_each_charge_in_gaps([&](GapSide const& side, Real charge) {
+    density.level(side.level)[side.place] += side.moment * charge / given_->level(side.level).cell_volume();
   });
   auto const& options = reusable_.free_space->options();
   auto const charges = freespace::charges_of(density, *hierarchy_, 1 / vacuum_permittivity, options);

@@ -39,6 +39,16 @@ struct SolveReport {
   std::map<std::string, Real> seconds;
 };
 
+/// A gap between two pieces of metal on the way from the centre of a cell up to that of the next one, with no centre in
+/// it. Its flux is that between parallel plates: across surfaces at any angle, the field along an axis is the voltage
+/// over the length of the gap along that axis.
+struct Gap {
+  Index3 cell;
+  int axis;
+  std::array<int, 2> electrode;  ///< below and above it; -1 for a wall of the domain
+  Real width;                    ///< over the spacing
+};
+
 /// Solves Laplace phi = -rho / eps0 over all levels of a hierarchy at once. Set up once per hierarchy, solved many
 /// times. With options.stretch = s the Laplacian is the sum of (1/s_d^2) d^2/dx_d^2: that of coordinates s_d x_d, in
 /// which everything below lives.
@@ -54,11 +64,13 @@ class PoissonSolver {
   Walls& walls(int level) { return walls_[level]; }
   /// The potentials of electrodes, V, zero before; a solve goes by them.
   void set_potentials(std::vector<Real> const& potentials) { potentials_ = potentials; }
-  /// The charge on each electrode, C, in the potential that a solve for rho left. What rho holds in its cells, the part
-  /// of clouds that reach into metal, counts as imaged on it. Collective.
+  /// Let gaps on lines through the centres of a level's cells count; those of other ranks are skipped. Local.
+  void add_gaps(int level, std::vector<Gap> const& gaps);
+  /// The charge on each electrode, C, in the potential that a solve for rho left, gaps included. What rho holds in its
+  /// cells, the part of clouds that reach into metal, counts as imaged on it. Collective.
   std::vector<Real> charges(Field const& phi, Field const& rho);
   /// How much cells outside metal see of each electrode: the largest weight of its potential in their equations, over
-  /// the diagonal; -1 of one that is nowhere on the mesh. Collective.
+  /// the diagonal; 1 at gaps, and -1 of one that is nowhere on the mesh. Collective.
   std::vector<Real> sights();
   /// Let open faces see the data that walls beside them hold now. Beyond its face a Dirichlet wall is at one of these
   /// potentials (V), wherever it goes on, and a Neumann wall has no slope. Local.
@@ -98,6 +110,8 @@ class PoissonSolver {
   std::vector<Real> of_induced_charge(Field const& phi, Field const& rho);
   void update_induced_charge(Field const& phi, Field const& rho);
   void show_induced_charge();
+  template <class F>
+  void for_each_charge_in_gaps(F&& f) const;
   struct Removed {
     Real mean;      ///< of f
     Real rounding;  ///< how large what is left may be by the rounding of what cancelled in it alone
@@ -122,6 +136,17 @@ class PoissonSolver {
   std::vector<Walls> walls_;
   std::shared_ptr<Metal const> metal_;
   std::vector<Real> potentials_;
+  /// An electrode's side of a gap.
+  struct GapSide {
+    int level;
+    std::size_t place;  ///< of a cell in fields of the level
+    int electrode;
+    int other;         ///< electrode across the gap; -1: a wall
+    std::size_t face;  ///< of the wall
+    Real capacitance;  ///< F
+    Real moment;       ///< share of the charge that has its dipole moment with the other side's, from centre to centre
+  };
+  std::vector<GapSide> gap_sides_;
   // Potentials at open faces, V: of the charge on electrodes, and of all other.
   std::vector<Real> of_induced_, of_charge_;
   FixedPoint fixed_point_;

@@ -23,6 +23,7 @@ from scipy.sparse.linalg import splu
 
 from amrpic import Domain, Electrode
 from cut_rows import ZERO, Array, Metal, curvature, weights
+from gap_charges import charges_at_gaps
 from oracle import PLACEMENTS, Oracle, Phi, lagrange
 
 FAR = 1e9  # the arm to an end that is nowhere
@@ -115,6 +116,12 @@ class CompositeRows:
         self.shared: dict[tuple[int, int, int], tuple[Array, Array, Array]] = {}  # faces that metal has a share of
         self.ends = [self._ends(n) for n in range(len(self.levels))]
         self.in_unknowns = self._in_unknowns()
+        of_levels = [
+            charges_at_gaps(domain, level.shape, electrodes, values, self.stretch, level.exists, level.covered)
+            for level in self.levels
+        ]
+        # (electrodes, electrodes and the one that is 1)
+        self.at_gaps = np.sum([np.column_stack(of_level) for of_level in of_levels], axis=0)
 
     # --- where cells and metal are
 
@@ -431,7 +438,8 @@ class CompositeRows:
     def _charges(self) -> sp.csr_matrix:
         """Return the charges on electrodes as sums of unknowns."""
         count = len(self.electrodes)
-        out = sp.csr_matrix((count, self.in_unknowns.shape[1]))
+        cells = self.in_unknowns.shape[1] - self.at_gaps.shape[1]
+        out = sp.hstack([sp.csr_matrix((count, cells)), sp.csr_matrix(self.at_gaps)])
         for n, axis, side in itertools.product(range(len(self.levels)), range(3), range(2)):
             owner = self.ends[n][axis][side].owner
             cut, to = np.flatnonzero(owner >= 0), Terms((count, len(owner)))
@@ -504,7 +512,8 @@ class CompositeSolution:
 
     def through_walls(self) -> float:
         """ε₀ times the flux of E into the domain through its walls, C."""
-        rows, total = self.rows, 0.0
+        rows = self.rows
+        total = -float((rows.at_gaps @ self.unknowns[-rows.at_gaps.shape[1] :]).sum())
         for n, axis, side in itertools.product(range(len(rows.levels)), range(3), range(2)):
             if not rows.domain.periodic[axis]:
                 end = 0 if side == 0 else rows.levels[n].shape[axis] - 1

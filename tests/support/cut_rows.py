@@ -16,6 +16,7 @@ from scipy.constants import epsilon_0
 from scipy.sparse.linalg import splu
 
 from amrpic import Domain, Electrode
+from gap_charges import charges_at_gaps
 
 Array = np.ndarray
 TOUCH = 1e-9  # of an arm: a surface that is nearer to a centre has it in its metal
@@ -137,6 +138,7 @@ class CutRows:
         self.number[self.fluid] = np.arange(self.fluid.sum())
         self.cells = np.argwhere(self.fluid)
         self.arms = [self._ends(axis) for axis in range(3)]
+        self.at_gaps = charges_at_gaps(domain, self.shape, electrodes, values, self.stretch)
 
     def points(self) -> Array:
         """Return the centres of fluid cells (n, 3)."""
@@ -233,7 +235,7 @@ class CutRows:
     def _charges(self) -> tuple[sp.csr_matrix, sp.csr_matrix, Array]:
         """Return the charges on electrodes as sums: of cells, of electrodes, and what is known."""
         count, n = len(self.electrodes), len(self.cells)
-        out = [sp.csr_matrix((count, n)), sp.csr_matrix((count, count)), np.zeros(count)]
+        out = [sp.csr_matrix((count, n)), sp.csr_matrix(self.at_gaps[0]), self.at_gaps[1]]
         for axis in range(3):
             for side in range(2):
                 owner = self.arms[axis][2][side]
@@ -274,7 +276,9 @@ class Solution:
 
     def through_walls(self) -> float:
         """ε₀ times the flux of E into the domain through its walls, C."""
-        rows, total = self.rows, 0.0
+        rows = self.rows
+        of_metal, of_walls = rows.at_gaps
+        total = -float((of_metal @ self.voltages + of_walls).sum())
         for axis in range(3):
             _, cell, electrode, _ = rows.arms[axis]
             for side in range(2):

@@ -158,7 +158,7 @@ def counts(
         migrate_without(moved, mesh, NONE, servers)
     count.sent["migrate"] = count.sent["migrate"] - count.sent["announce"]
     with count("output"):
-        measure(here, moments(mesh.comm, here), none, rho, phi, efield, {})
+        measure(here, moments(mesh.comm, here), (0, 0.0), rho, phi, efield, {})
     with count("regrid"):
         carry_over(phi, other)
     count.sent["cycle"] = count.sent["cycle"] - count.sent["solve"]

@@ -20,11 +20,14 @@ class Contact(NamedTuple):
     place: tuple[float, float, float]
 
 
+NO_KEY = np.iinfo(np.int64).min  # of a line
+
+
 class LineSpans(NamedTuple):
     """The spans of a shape on lines along an axis, whose parameter is the coordinate."""
 
     axis: int
-    key: Ints  # (lines,) which line it is, each once
+    key: Ints  # (lines,) which line it is, each once, ascending
     place: Floats  # (lines, 3) m
     spans: Spans
 
@@ -118,10 +121,10 @@ def narrowest(first: LineSpans, second: LineSpans, index: Callable[[Floats], Flo
 
 def _between(first: LineSpans, second: LineSpans) -> tuple[Floats, Floats, Floats]:
     """Return where the spans of one of two shapes end and those of the other begin next on the same lines, and these lines."""
-    common = np.intersect1d(first.key, second.key)
     parts = []
-    for number, (_, keys, places, spans) in enumerate((first, second)):
-        chosen = np.flatnonzero(np.isin(keys, common)[spans.line])
+    for number, ((_, keys, places, spans), others) in enumerate(((first, second.key), (second, first.key))):
+        same = np.append(others, NO_KEY)[np.searchsorted(others, keys)] == keys
+        chosen = np.flatnonzero(same[spans.line])
         line = spans.line[chosen]
         parts.append((keys[line], spans.enter[chosen], spans.leave[chosen], np.full(len(line), number), places[line]))
     key, enter, leave, owner, place = (np.concatenate(column) for column in zip(*parts, strict=True))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
 
@@ -47,7 +48,7 @@ class Revolved(Shape):
         """The points of the polygon (z, r), m."""
         return cast(Profile, self.points)
 
-    @property
+    @cached_property
     def bounds(self) -> tuple[Point, Point]:
         corners = []
         for z, r in self.profile:

@@ -76,6 +76,7 @@ def parts(backend: str, quick: bool, runs: int) -> list[Part]:
         *(() if quick else (Part("gamma", "gamma", 0, repeats_of_gamma),)),
         Part("least squares", "least_squares", 1, repeats_of_gamma),
         *(Part("points", "points", ranks, (*repeats_of_gamma, *small)) for ranks in (1, 2)),
+        Part("boxes", "regridding", 1, ("--boxes", "5000") if quick else ()),
         Part("agreement", "agreement", 1, small),
     ]
 

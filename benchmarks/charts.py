@@ -14,9 +14,9 @@ from matplotlib.ticker import NullFormatter
 
 from cases import FAMILIES
 from goals import Goal, goals
-from goals import figure as figure_of
 from growth import Law, laws
 from measuring import Record
+from measuring import figure as figure_of
 from peers import peer_name
 from reference import MLMG
 from reference import PARTICLES as REFERENCE_PARTICLES

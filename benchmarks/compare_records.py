@@ -18,8 +18,8 @@ from pathlib import Path
 from statistics import median
 from typing import Annotated
 
-from goals import figure, printed
-from measuring import Record, read
+from goals import printed
+from measuring import Record, figure, read
 
 THRESHOLD = 0.1
 ERRORS = 3.0  # standard errors of a median that are noise

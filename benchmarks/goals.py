@@ -8,14 +8,18 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
+import numpy as np
+
 from bases import base_of, base_ratio, is_base
 from electrodes import SCENES as SCENES_OF_METAL
 from electrodes import WIRES
 from electrodes import name as metal_name
 from gamma import CUBES, gamma_ratio, memory_ratio
+from growth import BOXES as OVER_BOXES
+from growth import law
 from least_squares import ORDERS
 from least_squares import record_name as stencil_record
-from measuring import Record
+from measuring import Record, figure
 from orders import CASES as CELLS_OF_ORDERS
 from orders import WALLS as WALLS_OF_ORDERS
 from orders import name as order_name
@@ -23,12 +27,14 @@ from particles import BY_KOKKOS, OWN_B, SOLENOID, kernels_name, plain_name, reco
 from pic_step import IMPACTX_WALLS, step_name
 from points import COLUMN_OF_KRATOS, MEMORY, beyond_cache_name, layout_name, points_step_name, solve_name, tangent_name
 from points import record_name as product_name
+from regridding import REGRIDDING, STAGES, points
 from solving import BESIDE_DST, BOXES, EACH_BACKEND, IN_TURNS, assembly_name, following_name, name
 from walls import walls_name
 
 NAN = float("nan")
 SAME = 1e-8  # largest difference of the backends' potentials over the largest that counts as none
 OPERATORS = 8  # of a level, as compressed rows
+REGRIDDED = 16_000  # boxes
 ROUNDING = 1e-12  # of the largest residual of a rough potential, relative
 
 
@@ -118,6 +124,7 @@ def goals(records: Sequence[Record]) -> list[Goal]:
             long_cells,
             memory,
             setup,
+            boxes,
             metal,
             of_order_4,
             assembly,
@@ -303,6 +310,22 @@ def setup(found: Found) -> Iterator[Goal]:
     yield Goal("open walls against grounded ones, ten_bunches 144", walls, 1.5, 1.15, "×")
 
 
+def boxes(found: Found) -> Iterator[Goal]:
+    """What each rank does with the boxes of all."""
+    records = found.of(REGRIDDING)
+    most = max((float(record.facts["bytes per box"]) for record in records), default=NAN)
+    yield Goal("boxes: metadata of each", most, 200, unit=" B")
+    by_stage = {stage: sorted(points(records, stage)) for stage in STAGES}
+    for stage, measured in by_stage.items():
+        exponent = law(stage, OVER_BOXES, measured).exponent if len(measured) > 1 else NAN
+        yield Goal(f"boxes: exponent of {stage}", exponent, 1.1)
+    sizes = [size for size, _ in by_stage["refine"]]
+    regrid = sum(np.array([seconds for _, seconds in by_stage[stage]]) for stage in ("refine", "memory estimate"))
+    inside = bool(sizes) and sizes[0] <= REGRIDDED <= sizes[-1]
+    taken = np.exp(np.interp(np.log(REGRIDDED), np.log(sizes), np.log(regrid))) if inside else NAN
+    yield Goal(f"boxes: a regrid of {REGRIDDED}", 1e3 * float(taken), 50, unit=" ms")
+
+
 def metal(found: Found) -> Iterator[Goal]:
     for scene in SCENES_OF_METAL:
         beside, plain = (
@@ -382,11 +405,6 @@ def backends(found: Found) -> Iterator[Goal]:
 def least(values: Iterable[float]) -> float:
     """The least of those that were measured."""
     return min((value for value in values if not math.isnan(value)), default=NAN)
-
-
-def figure(value: float) -> str:
-    """Return a number with three digits, or all of its whole ones."""
-    return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
 def table(goals: Sequence[Goal]) -> list[tuple[str, str, str, str, str]]:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from goals import figure
-from measuring import Record
+import regridding
+from measuring import Record, figure
 from particles import STAGES, record_name
 
 LEVELS, BOXES, CELLS, PARTICLES = "levels", "boxes", "cells", "particles"
@@ -43,7 +43,7 @@ def law(what: str, of: str, points: Sequence[tuple[float, float]]) -> Law:
 
 
 def laws(records: Sequence[Record]) -> list[Law]:
-    """Return the laws of set-up and solve over cells, levels and boxes, and of the particle stages over particles."""
+    """Return the laws of set-up and solve over cells, levels and boxes, of regrid over boxes, of particles by number."""
     return [law(what, of, points) for what, of, points in series(records) if len({size for size, _ in points}) > 1]
 
 
@@ -58,6 +58,8 @@ def series(records: Sequence[Record]) -> Iterator[tuple[str, str, list[tuple[flo
         for what, ending in (("solve", "1e-10"), ("set-up", "set-up")):
             mine = [r for r in records if r.name.startswith(beginning) and r.name.endswith(f", {ending}")]
             yield what, of, [(size(record), record.median) for record in mine]
+    for stage in regridding.STAGES:
+        yield f"{stage} of boxes alone", BOXES, regridding.points(records, stage)
     for stage in (stage for stage in STAGES if stage != "field"):  # which is of the mesh alone
         mine = [r for r in records if r.particles and r.name == record_name(stage, r.particles, "cloud-in-cell")]
         yield stage, PARTICLES, [(record.particles, record.median) for record in mine]

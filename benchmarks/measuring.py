@@ -114,6 +114,11 @@ class Record:
         return str(self.facts.get("skipped", ""))
 
 
+def figure(value: float) -> str:
+    """Return a number with three digits, or all of its whole ones."""
+    return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
+
+
 def printed(record: Record) -> str:
     """A line about a record."""
     if record.skipped or not record.seconds:

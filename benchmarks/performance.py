@@ -17,8 +17,8 @@ import gamma
 import goals
 import growth
 from cases import FAMILIES
-from goals import figure, markdown
-from measuring import ROOT, Record, read, share_of_core
+from goals import markdown
+from measuring import ROOT, Record, figure, read, share_of_core
 from particles import STAGES
 from peers import peer_name
 from reference import MLMG, MLMG_CYCLES

@@ -293,7 +293,10 @@ void Stencil::add_metal(Level const& level, CellBlock const& block, BoxFaces con
           Index3 const at{place + cut.cell[0] - first[0], j, k};
           CutRow const row = cut_row(equation, arms_of(at, cut), cut.hold);
           CutPlace out{at[0], {}, float(row.diagonal), float(relaxation_ / row.diagonal)};
-          for (std::size_t n = 0; n < 6; ++n) out.weight[n] = float(row.neighbour(n));
+          for (std::size_t n = 0; n < 6; ++n) {
+            out.weight[n] = float(row.neighbour(n));
+            reads_solids_ = reads_solids_ || (!cut.is_cut(n) && cut.arm[n] <= 1);
+          }
           cuts[std::size_t(at[0] % 2)].push_back(out);
         });
         metal.for_each_solid(first, count, [&](SolidCell const& solid) {

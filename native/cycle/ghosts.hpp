@@ -98,6 +98,8 @@ class Stencil {
   std::int32_t const* inner_places() const { return inner_places_.data(); }  ///< of these in a Vector
   OuterCut const* outer_cuts() const { return outer_cuts_.data(); }
   std::vector<SolidRun> const& solids_in_planes() const { return solids_in_planes_; }
+  /// Whether equations of cells have values in metal: of covered ones behind faces of which finer cells take a part.
+  bool reads_solids() const { return reads_solids_; }
   std::size_t bytes() const;
 
  private:
@@ -140,6 +142,7 @@ class Stencil {
   std::vector<std::int32_t> inner_places_;
   std::vector<OuterCut> outer_cuts_;
   std::vector<SolidRun> solids_in_planes_;
+  bool reads_solids_ = false;
   mutable std::vector<float> cut_values_;
 };
 

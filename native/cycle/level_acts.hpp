@@ -70,9 +70,11 @@ class LevelActs : public CycleActs {
 
  private:
   /// Sweeps; where there are gaps, their fits are taken into account in between. A residual follows unless they are the
-  /// last ones.
+  /// last ones. What comes from a coarser level does not vanish on surfaces, so cells beside metal are relaxed before.
   void smooth(std::size_t l, Passage* passage, int sweeps, bool from_zero, bool are_last) {
     int const further = are_last ? 0 : 1;
+    if (!from_zero && sweeps > 0)
+      swept_[l]->relax_beside_metal(further + 2 * (passage && passage->has_gaps() ? 1 : sweeps));
     for (; passage && passage->has_gaps() && sweeps > 1; --sweeps) {
       swept_[l]->relax(1, std::exchange(from_zero, false), further);
       passage->refresh_gaps();

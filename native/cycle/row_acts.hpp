@@ -68,6 +68,17 @@ AMRPIC_OUT_OF_LINE KOKKOS_INLINE_FUNCTION void place_metal(RowTable const& level
   for_each_cut(level, row, parity, worker, [&](CutPlace const& cut, int n) { here[cut.place] = level.cut_values[n]; });
   clear_solid(level, row, here, worker);
 }
+/// One colour of the cut cells of a row relaxed.
+template <class Composed, class Worker>
+KOKKOS_INLINE_FUNCTION void relax_beside_metal(RowTable const& level, Row const& row, int colour,
+                                               Composed const& composed, float const* r, float* e,
+                                               Worker const& worker) {
+  if (!level.has_metal(row)) return;
+  int const parity = (row.parity + colour) & 1;
+  CorrectionRow const at = level.correction<1>(row, e, composed);
+  relax_cut(level, row, parity, at, r + row.place, worker);
+  place_metal(level, row, parity, at.here, worker);
+}
 template <class Worker>
 AMRPIC_OUT_OF_LINE KOKKOS_INLINE_FUNCTION void relax_metal_from_zero(RowTable const& level, Row const& row, int parity,
                                                                      float const* right, float* here,

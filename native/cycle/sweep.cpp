@@ -57,7 +57,23 @@ void Sweep::relax(std::size_t block, int k, int colour, bool from_zero, bool is_
   });
   if (!by_plane) return;
   from_zero ? relax_cut_from_zero(*plane, colour, r, e) : relax_cut(*plane, colour, of.cells, r, e);
-  if (is_last) clear_solids(*plane, e);
+  if (is_last || stencil_.reads_solids()) clear_solids(*plane, e);
+}
+
+/// One colour of the cut cells of rows alone.
+void Sweep::relax_beside_metal(std::size_t block, int k, int colour, RowChoice const& rows, Vector const& r,
+                               Vector& e) const {
+  if (!table_.metal_of) return;
+  if (rows.number) {
+    auto const composed = composer(e.data(), false);
+    return for_each_row(block, k, rows, [&](Row const& row, int) {
+      cycle::relax_beside_metal(table_, row, colour, composed, r.data(), e.data(), Thread{});
+    });
+  }
+  CellBlock const& of = layout_.blocks()[block];
+  MetalPlane const& plane = stencil_.metal_plane(block, k - of.box.lower[2]);
+  keep_cut_values(plane, colour, r, e);
+  relax_cut(plane, colour, of.cells, r, e);
 }
 
 /// The values of the cut cells of one colour of a plane before a step of all its cells; of outer ones, beside which a

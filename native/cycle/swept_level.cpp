@@ -31,6 +31,7 @@ SweptLevel::SweptLevel(Communicator const& comm, std::shared_ptr<Level const> le
       scale_(smallest_spacing(*level_) * smallest_spacing(*level_)),
       equation_(scaled(equation_on(level_->spacing(), shift), scale_)),
       is_thin_(halo == 1),
+      may_have_metal_(metal != nullptr),
       layout_(*level_, halo, rules.seams()),
       faces_(faces_of_blocks(*level_, layout_, is_thin_ ? layout_.own_blocks() : layout_.blocks().size())),
       stencil_(*level_, layout_, faces_, rules, equation_, relaxation.factor,
@@ -64,8 +65,9 @@ SweptLevel::SweptLevel(Communicator const& comm, std::shared_ptr<Level const> le
   edge_halo_ = RectangleExchange(comm, layout_, images_at_edges, at_edges(*level_, layout_.across_ranks()), copies);
 }
 
-void SweptLevel::relax(int sweeps, bool from_zero, int further) {
-  if (rehearsal_) rehearsal_->sweeps += sweeps, rehearsal_->relaxed += relaxed_cells(sweeps, further);
+void SweptLevel::relax(Relaxed cells, int sweeps, bool from_zero, int further) {
+  if (rehearsal_ && cells == Relaxed::all)
+    rehearsal_->sweeps += sweeps, rehearsal_->relaxed += relaxed_cells(sweeps, further);
   if (from_zero && sweeps == 0) {
     std::fill(e_.begin(), e_.end(), 0.0f);
     stale_ = 0;
@@ -74,8 +76,9 @@ void SweptLevel::relax(int sweeps, bool from_zero, int further) {
   for (int half = 0; half < 2 * sweeps; ++half, --reach) {
     HalfSweep const h(half, from_zero);
     bool const is_last = half + 1 == 2 * sweeps;
-    auto const relax = [this, h, reach, is_last](std::size_t b, int k, RowChoice const& some) {
+    auto const relax = [this, h, reach, is_last, cells](std::size_t b, int k, RowChoice const& some) {
       RowChoice const rows = is_thin_ ? some : layout_.rows_in_reach(b, k, reach);
+      if (cells == Relaxed::beside_metal) return sweep_.relax_beside_metal(b, k, h.colour, rows, r_, e_);
       sweep_.relax(b, k, h.colour, h.is_fresh, is_last, rows, r_, e_);
     };
     then({relax, h.reads, h.changes});

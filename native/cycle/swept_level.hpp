@@ -16,8 +16,12 @@ struct Relaxation {
   int pre_sweeps = 2, post_sweeps = 2;
   Real factor = 1.25;
 
-  int halo() const { return 2 * std::max(pre_sweeps, post_sweeps); }  ///< each half-sweep reads one cell further
+  /// Of deep copies: each half-sweep reads one cell further. Where there is metal, others may come before.
+  int halo(bool has_metal) const { return 2 * (std::max(pre_sweeps, post_sweeps) + has_metal); }
 };
+
+/// Which cells sweeps relax.
+enum class Relaxed { all, beside_metal };
 
 /// One of the halves of sweeps after each other.
 struct HalfSweep {
@@ -53,7 +57,12 @@ class SweptLevel {
 
   // Acts are put off, until values are read, and then run in one pass over all planes.
   /// Sweeps over both colours. `further`: how many cells outside own ones their result is read.
-  void relax(int sweeps, bool from_zero, int further);
+  void relax(int sweeps, bool from_zero, int further) { relax(Relaxed::all, sweeps, from_zero, further); }
+  /// A sweep over the cells beside metal, if there may be metal on any rank.
+  void relax_beside_metal(int further) {
+    if (may_have_metal_) relax(Relaxed::beside_metal, 1, false, further);
+  }
+  bool may_have_metal() const { return may_have_metal_; }
   /// What comes next is done to each plane.
   void then(PlaneStage stage) { stages_.push_back(std::move(stage)); }
   /// Run all that was put off; where copies are still under way, wait for them when they are reached. Collective.
@@ -117,6 +126,7 @@ class SweptLevel {
   std::size_t bytes() const { return (r_.size() + e_.size()) * sizeof(float) + stencil_.bytes(); }
 
  private:
+  void relax(Relaxed cells, int sweeps, bool from_zero, int further);
   void begin(RectangleExchange const& plan, Vector& values);
   void begin(int colours);
   void finish_exchanges();
@@ -128,7 +138,7 @@ class SweptLevel {
   std::shared_ptr<Level const> level_;
   Real scale_;
   Equation equation_;
-  bool is_thin_;
+  bool is_thin_, may_have_metal_;
   Layout layout_;
   LevelFaces faces_;
   Stencil stencil_;

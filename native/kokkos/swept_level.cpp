@@ -56,15 +56,17 @@ void SweptLevel::compose(Range const& runs, bool differences) {
 }
 
 /// One colour of some rows, at most `reach` steps from own cells.
-void SweptLevel::half_sweep(Range const& rows, cycle::HalfSweep const& half, int reach) {
+void SweptLevel::half_sweep(Range const& rows, cycle::HalfSweep const& half, int reach, cycle::Relaxed cells) {
   LevelTables const level = tables_;
   auto const r = r_.array(), e = e_.array();
   int const colour = half.colour;
-  bool const from_zero = half.is_fresh;
+  bool const from_zero = half.is_fresh, all = cells == cycle::Relaxed::all;
   for_each_row(
       "relax", rows, KOKKOS_LAMBDA(Worker const& worker, std::int32_t n) {
         cycle::Row const& row = level.rows[n];
         if (row.steps > reach) return;
+        if (!all)
+          return cycle::relax_beside_metal(level, row, colour, level.composed_rows(), r.data(), e.data(), worker);
         worker.with_kind(row.lanes, level.isotropic, [&](auto lanes, auto isotropic) {
           if (from_zero)
             cycle::relax_from_zero<lanes(), true>(level, row, colour, r.data(), e.data(), worker);
@@ -84,7 +86,7 @@ void SweptLevel::bring(int colours) {
   stale_ &= ~colours;
 }
 
-void SweptLevel::relax(int sweeps, bool from_zero, int further) {
+void SweptLevel::relax(cycle::Relaxed cells, int sweeps, bool from_zero, int further) {
   if (from_zero && sweeps == 0) {
     fill(e_.array(), 0.0f);
     stale_ = 0;
@@ -95,7 +97,7 @@ void SweptLevel::relax(int sweeps, bool from_zero, int further) {
     bring(h.reads);
     for (Together const& part : together_) {
       if (!h.is_fresh) compose(part.runs, false);
-      half_sweep(part.rows, h, reach);
+      half_sweep(part.rows, h, reach, cells);
     }
     stale_ |= h.changes;
   }

@@ -36,7 +36,10 @@ class SweptLevel {
   SweptLevel(Communicator const& comm, cycle::SweptLevel& plan);
 
   /// See cycle::SweptLevel. All are collective.
-  void relax(int sweeps, bool from_zero, int further);
+  void relax(int sweeps, bool from_zero, int further) { relax(cycle::Relaxed::all, sweeps, from_zero, further); }
+  void relax_beside_metal(int further) {
+    if (plan_.may_have_metal()) relax(cycle::Relaxed::beside_metal, 1, false, further);
+  }
   void exchange_right_hand_sides();
   void exchange_corrections(bool boundary_changed);
   void finish() {}
@@ -54,9 +57,10 @@ class SweptLevel {
 
   // Parts of `relax`, public because CUDA wants members with kernels to be.
   void compose(Range const& runs, bool differences);
-  void half_sweep(Range const& rows, cycle::HalfSweep const& half, int reach);
+  void half_sweep(Range const& rows, cycle::HalfSweep const& half, int reach, cycle::Relaxed cells);
 
  private:
+  void relax(cycle::Relaxed cells, int sweeps, bool from_zero, int further);
   void bring(int colours);
 
   cycle::SweptLevel& plan_;

@@ -7,10 +7,10 @@ namespace amrpic {
 namespace {
 
 std::unique_ptr<Smoother> smoother_of(LevelOperators const& operators, bool v_cycle, SolverOptions options, int before,
-                                      int after) {
+                                      int after, MetalCells const* metal) {
   options.pre_sweeps = before;
   options.post_sweeps = after;
-  return make_smoother(operators, v_cycle, options);
+  return make_smoother(operators, v_cycle, options, metal);
 }
 
 }  // namespace
@@ -36,9 +36,13 @@ Multigrid::Multigrid(Communicator const& comm, MultigridLevels const& multigrid,
     MultigridLevel level{
         all[l], nullptr, nullptr, nullptr, nullptr, {}, LevelVector(all[l]->cells), LevelVector(all[l]->cells)};
     auto const coarser = cycle_levels_.coarser(l);
+    auto const smoother_on = [&](std::size_t of, bool v_cycle, int before, int after) {
+      MetalCells const cells = own_metal(of);
+      return smoother_of(*all[of], v_cycle, options, before, after, metal ? &cells : nullptr);
+    };
     if (l > 0)
       level.smoother =
-          smoother_of(*all[l], cycle_levels_.halves_at_most(l), options, cycle_levels_.pre_sweeps(l, sweeps),
+          smoother_on(l, cycle_levels_.halves_at_most(l), cycle_levels_.pre_sweeps(l, sweeps),
                       coarser.empty() ? 0 : cycle_levels_.post_sweeps(coarser.front(), sweeps));
     if (l != cycle_levels_.finest()) {
       LevelOperators const& finer = *all[cycle_levels_.finer(l)];
@@ -47,7 +51,7 @@ Multigrid::Multigrid(Communicator const& comm, MultigridLevels const& multigrid,
       level.coarse_boundary = own ? nullptr : &finer.coarse_boundary;
       level.residual.emplace(own ? own->finer : finer.cells);
       if (cycle_levels_.coarser(cycle_levels_.finer(l)).front() != l)
-        level.after = smoother_of(finer, true, options, 0, cycle_levels_.post_sweeps(l, sweeps));
+        level.after = smoother_on(cycle_levels_.finer(l), true, 0, cycle_levels_.post_sweeps(l, sweeps));
     }
     levels_.push_back(std::move(level));
   }

@@ -10,9 +10,12 @@ namespace amrpic {
 
 namespace {
 
+using Colours = std::vector<std::vector<LocalIndex>>;
+
 /// Rows of a level by the parity of i + j + k in the level's global indices, which no decomposition changes; around an
-/// odd number of cells two of one parity meet, so the last ones are colours of their own.
-std::vector<std::vector<LocalIndex>> colours(Level const& level) {
+/// odd number of cells two of one parity meet, so the last ones are colours of their own. `chosen`: (cell) -> bool.
+template <class Chosen>
+Colours colours(Level const& level, Chosen const& chosen) {
   std::array<int, 3> odd_last;
   int rings = 0;
   for (int d = 0; d < 3; ++d) {
@@ -20,13 +23,14 @@ std::vector<std::vector<LocalIndex>> colours(Level const& level) {
     odd_last[d] = odd ? level.domain().upper[d] : -1;
     rings += odd;
   }
-  std::vector<std::vector<LocalIndex>> out(rings > 0 ? 16 : 2);
+  Colours out(rings > 0 ? 16 : 2);
   LocalIndex row = 0;
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b)
     for_each_cell(level.box(b), [&](Index3 const& c) {
       std::size_t place = 0;
       for (int d = 0; d < 3; ++d) place += c[d] == odd_last[d] ? std::size_t(1) << d : 0;
-      out[out.size() / 2 * std::size_t((c[0] + c[1] + c[2]) & 1) + place].push_back(row++);
+      if (chosen(c)) out[out.size() / 2 * std::size_t((c[0] + c[1] + c[2]) & 1) + place].push_back(row);
+      ++row;
     });
   return out;
 }
@@ -50,14 +54,15 @@ void relax(DeviceArray<LocalIndex> const& rows, TpetraTypes::LocalMatrix const& 
 /// Over-relaxed Gauss-Seidel, one colour after the other: rows of a colour do not couple with each other.
 class RedBlack : public Smoother {
  public:
-  RedBlack(LevelOperators const& operators, bool v_cycle, SolverOptions const& options)
+  RedBlack(LevelOperators const& operators, bool v_cycle, SolverOptions const& options, MetalCells const* metal)
       : operators_(operators),
         pre_sweeps_(options.pre_sweeps),
         post_sweeps_(options.post_sweeps),
         relaxation_(relaxation_on(*operators.level, shift_of(options), v_cycle, options.relaxation)) {
-    std::vector<DeviceArray<LocalIndex>> of_colour;
-    for (auto const& rows : colours(*operators.level)) of_colour.push_back(on_device(rows));
-    colour_ = UntilFinalize(std::move(of_colour));
+    Level const& level = *operators.level;
+    colour_ = kept(colours(level, [](Index3 const&) { return true; }));
+    if (metal)
+      beside_metal_ = kept(colours(level, [&](Index3 const& cell) { return metal->cut_at(cell) != nullptr; }));
   }
 
   void smooth_from_zero(LevelVector const& f, LevelVector& x) override {
@@ -69,16 +74,24 @@ class RedBlack : public Smoother {
       x.update_swept_halo();
       relax_colour(colours[c], f, x);
     }
-    sweep(pre_sweeps_ - 1, f, x);
+    sweep(*colour_, pre_sweeps_ - 1, f, x);
   }
   void smooth(Side side, LevelVector const& f, LevelVector& x) override {
-    sweep(side == Side::before ? pre_sweeps_ : post_sweeps_, f, x);
+    int const sweeps = side == Side::before ? pre_sweeps_ : post_sweeps_;
+    if (sweeps > 0 && beside_metal_) sweep(*beside_metal_, 1, f, x);
+    sweep(*colour_, sweeps, f, x);
   }
 
  private:
-  void sweep(int sweeps, LevelVector const& f, LevelVector& x) {
+  using OfColours = std::vector<DeviceArray<LocalIndex>>;
+  static UntilFinalize<OfColours> kept(Colours const& colours) {
+    OfColours out;
+    for (auto const& rows : colours) out.push_back(on_device(rows));
+    return UntilFinalize(std::move(out));
+  }
+  void sweep(OfColours const& colours, int sweeps, LevelVector const& f, LevelVector& x) {
     for (int s = 0; s < sweeps; ++s)
-      for (auto const& rows : *colour_) {
+      for (auto const& rows : colours) {
         x.update_swept_halo();
         relax_colour(rows, f, x);
       }
@@ -90,7 +103,7 @@ class RedBlack : public Smoother {
   LevelOperators const& operators_;
   int pre_sweeps_, post_sweeps_;
   Real relaxation_;
-  UntilFinalize<std::vector<DeviceArray<LocalIndex>>> colour_;
+  UntilFinalize<OfColours> colour_, beside_metal_;
 };
 
 /// Smallest eigenvalue, over the diagonal, of an error that oscillates along an axis which the next coarser level has
@@ -148,8 +161,9 @@ class LibrarySmoother : public Smoother {
 
 }  // namespace
 
-std::unique_ptr<Smoother> make_smoother(LevelOperators const& operators, bool v_cycle, SolverOptions const& options) {
-  if (options.smoother == SmootherKind::red_black) return std::make_unique<RedBlack>(operators, v_cycle, options);
+std::unique_ptr<Smoother> make_smoother(LevelOperators const& operators, bool v_cycle, SolverOptions const& options,
+                                        MetalCells const* metal) {
+  if (options.smoother == SmootherKind::red_black) return std::make_unique<RedBlack>(operators, v_cycle, options, metal);
   return std::make_unique<LibrarySmoother>(operators, options);
 }
 

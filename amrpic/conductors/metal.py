@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
@@ -43,6 +44,15 @@ class Seen(NamedTuple):
         return digest.digest()
 
 
+@dataclass
+class Question:
+    """What a native solver asked for: cells in boxes, of this spacing."""
+
+    boxes: Sequence[Sequence[int]]
+    spacing: Sequence[float]
+    digest: bytes = b""  # of the answer; found when it is first compared with another
+
+
 class MetalOnMesh:
     """Electrodes for a native solver, whose lengths are those of a domain from `lower` on, times `stretch`.
 
@@ -60,7 +70,7 @@ class MetalOnMesh:
         self._walls = np.asarray(walls, float)
         self._contacts: list[Contact] = []
         self._gaps: list[tuple[Sequence[float], Gaps]] = []
-        self._answers: list[tuple[Sequence[Sequence[int]], Sequence[float], bytes]] = []
+        self._questions: list[Question] = []
 
     def native(self) -> _native.Metal:
         """Return what a native solver asks; it keeps this object alive."""
@@ -88,31 +98,32 @@ class MetalOnMesh:
             return False
         if [electrode.shape for electrode in electrodes] != [electrode.shape for electrode in self._electrodes]:
             with together(comm, SolverError):
+                for question in self._questions:
+                    question.digest = question.digest or self._seen(self._electrodes, question).digest()
                 # coarse levels first: these take no time
-                questions = sorted(self._answers, key=lambda question: len(question[0]))
-                same = all(
-                    self._seen(electrodes, boxes, widths).digest() == digest for boxes, widths, digest in questions
-                )
+                questions = sorted(self._questions, key=lambda question: len(question.boxes))
+                same = all(self._seen(electrodes, question).digest() == question.digest for question in questions)
             if not comm.allreduce(same, MPI.LAND):
                 return False
         self._electrodes = tuple(electrodes)
         return True
 
     def _ask(self, boxes: Sequence[Sequence[int]], spacing: Sequence[float]) -> Answer:
-        seen = self._seen(self._electrodes, boxes, spacing)
+        question = Question(boxes, spacing)
+        seen = self._seen(self._electrodes, question)
         self._contacts += seen.contacts
         if len(seen.gaps.width):
             self._gaps.append((spacing, seen.gaps))
-        self._answers.append((boxes, spacing, seen.digest()))
+        self._questions.append(question)
         return seen.answer
 
-    def _seen(self, electrodes: Sequence[Conductor], boxes: Sequence[Sequence[int]], spacing: Sequence[float]) -> Seen:
-        lattice = Lattice.of(self._lower, np.divide(spacing, self._stretch))
-        cells, owner, crossings, lines = traced_boxes(electrodes, boxes, lattice.origin, lattice.spacing)
+    def _seen(self, electrodes: Sequence[Conductor], question: Question) -> Seen:
+        lattice = Lattice.of(self._lower, np.divide(question.spacing, self._stretch))
+        cells, owner, crossings, lines = traced_boxes(electrodes, question.boxes, lattice.origin, lattice.spacing)
         cut = cut_cells(cells, owner, crossings)
         answer = (
-            *_native.runs_in_metal(np.asarray(boxes, np.int32), owner),
-            indices(boxes, cut.cell, cut.first),
+            *_native.runs_in_metal(np.asarray(question.boxes, np.int32), owner),
+            indices(question.boxes, cut.cell, cut.first),
             cut.theta,
             cut.electrode,
         )

@@ -35,8 +35,8 @@ VARIATION = 1  # cycles that a case may differ from its reference
 # rows of all levels at once are up to 7/4 as stiff, per level, as the coarser one believes (docs/theory.md, "Slow cycles").
 # Of 96 such cases (seed 49) none took more than 16 cycles.
 LOOSE_CYCLES, LOOSE_VARIATION = 4, 2
-# More cycles where boxes of so few cells may leave narrow gaps, whose fits sweeps do not see (docs/theory.md); 13 were seen
-# on scattered holes of one block.
+# More cycles where blocks of so few cells may leave narrow gaps, whose fits sweeps do not see (docs/theory.md); 13 were seen
+# on scattered holes of one block, 10 behind last blocks of two cells.
 SMALL_BLOCKS, GAP_CYCLES = 4, 4
 # Memory of a matrix-free solve: potential, charge, solver, plans for each box, which copies of levels of long cells have
 # too, those of few cells whole on each rank, what Python holds; and sixteen corrections with what they do to the residual,
@@ -48,8 +48,9 @@ BYTES_OF_ACCELERATION = 128  # per cell
 BYTES_PER_ROW = 4000  # of a domain a few cells wide and long: rows are padded, and each has neighbours and coefficients
 
 # Ghosts at open faces of one level, and the potential and field that they make, against the lattice; of the largest values.
-# Twice that in boxes a few cells thin, where conductors leave little of the potential.
-LATTICE_BOUNDS = {"ghosts": 1.5e-4, "phi": 1e-4, "field": 3e-4}
+# Twice that in boxes a few cells thin, where conductors leave little of the potential. Of 553 such cases (seed 92313) the median
+# of the field's error is 6e-6, the largest 3.9e-4.
+LATTICE_BOUNDS = {"ghosts": 1.5e-4, "phi": 1e-4, "field": 5e-4}
 THIN = 8  # cells
 LATTICE_CELLS = 40_000  # for more the exact potential takes long
 
@@ -96,8 +97,14 @@ def limit(case: Case) -> int:
     cycles = next(cycles for aspect, cycles in CYCLE_LIMITS if case.aspect_ratio <= aspect * (1 + 1e-9))
     if not case.levels:
         return min(cycles, ONE_LEVEL)
-    gaps = case.levels and case.blocking_factor <= SMALL_BLOCKS
+    gaps = case.levels and shortest_block(case) <= SMALL_BLOCKS
     return cycles + (LOOSE_CYCLES if case.levels and is_loose(case) else GAP_CYCLES if gaps else 0)
+
+
+def shortest_block(case: Case) -> int:
+    """Cells along the shortest edge of a block: the last ones of an axis may be shorter than the others."""
+    ends = (n * 2**level % case.blocking_factor for n in case.cells for level in range(1, len(case.levels) + 1))
+    return min((end for end in ends if end), default=case.blocking_factor)
 
 
 def is_loose(case: Case) -> bool:

@@ -114,7 +114,8 @@ Cycle::Cycle(Communicator const& comm, MultigridLevels multigrid, int max_grid_s
       own.post_sweeps = levels().post_sweeps(l, sweeps());
     }
     // sweeps that do not start from zero, and a residual after them, read one cell further
-    int const deep = own.halo(metal != nullptr) + (!is_semicoarse && (is_semicoarsened || !levels().refines(l)) ? 1 : 0);
+    int const deep =
+        own.halo(metal != nullptr) + (!is_semicoarse && (is_semicoarsened || !levels().refines(l)) ? 1 : 0);
     bool const thin = !is_semicoarse && !is_semicoarsened && !has_gaps[l] && has_thin_copies(level, rules);
     int const halo = thin ? 1 : std::max(deep, has_gaps[l] ? reach_in_gaps : 0);
     return std::make_unique<SweptLevel>(comm, levels().level(l), rules, levels().boundary, levels().shift, own, halo,

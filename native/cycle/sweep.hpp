@@ -30,7 +30,8 @@ class Sweep {
 
   /// One colour (0 or 1: the parity of i + j + k) relaxed; from zero, the other becomes zero. In cells in metal values
   /// have no meaning, and no other cell takes them, until `is_last` sets zeros there.
-  void relax_beside_metal(std::size_t block, int k, int colour, RowChoice const& rows, Vector const& r, Vector& e) const;
+  void relax_beside_metal(std::size_t block, int k, int colour, RowChoice const& rows, Vector const& r,
+                          Vector& e) const;
   void relax(std::size_t block, int k, int colour, bool from_zero, bool is_last, RowChoice const& rows, Vector const& r,
              Vector& e) const;
 

@@ -41,9 +41,8 @@ Multigrid::Multigrid(Communicator const& comm, MultigridLevels const& multigrid,
       return smoother_of(*all[of], v_cycle, options, before, after, metal ? &cells : nullptr);
     };
     if (l > 0)
-      level.smoother =
-          smoother_on(l, cycle_levels_.halves_at_most(l), cycle_levels_.pre_sweeps(l, sweeps),
-                      coarser.empty() ? 0 : cycle_levels_.post_sweeps(coarser.front(), sweeps));
+      level.smoother = smoother_on(l, cycle_levels_.halves_at_most(l), cycle_levels_.pre_sweeps(l, sweeps),
+                                   coarser.empty() ? 0 : cycle_levels_.post_sweeps(coarser.front(), sweeps));
     if (l != cycle_levels_.finest()) {
       LevelOperators const& finer = *all[cycle_levels_.finer(l)];
       auto const* own = cycle_levels_.semicoarse(l) ? &semicoarse_[l - operators.size()] : nullptr;

@@ -61,8 +61,7 @@ class RedBlack : public Smoother {
         relaxation_(relaxation_on(*operators.level, shift_of(options), v_cycle, options.relaxation)) {
     Level const& level = *operators.level;
     colour_ = kept(colours(level, [](Index3 const&) { return true; }));
-    if (metal)
-      beside_metal_ = kept(colours(level, [&](Index3 const& cell) { return metal->cut_at(cell) != nullptr; }));
+    if (metal) beside_metal_ = kept(colours(level, [&](Index3 const& cell) { return metal->cut_at(cell) != nullptr; }));
   }
 
   void smooth_from_zero(LevelVector const& f, LevelVector& x) override {
@@ -163,7 +162,8 @@ class LibrarySmoother : public Smoother {
 
 std::unique_ptr<Smoother> make_smoother(LevelOperators const& operators, bool v_cycle, SolverOptions const& options,
                                         MetalCells const* metal) {
-  if (options.smoother == SmootherKind::red_black) return std::make_unique<RedBlack>(operators, v_cycle, options, metal);
+  if (options.smoother == SmootherKind::red_black)
+    return std::make_unique<RedBlack>(operators, v_cycle, options, metal);
   return std::make_unique<LibrarySmoother>(operators, options);
 }
 

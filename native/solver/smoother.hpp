@@ -24,8 +24,8 @@ class Smoother {
 };
 
 /// The smoother that the options name, for a level whose operators outlive it; `v_cycle`: whether it is
-/// part of a V-cycle, see relaxation_on; `metal`: in own cells, null if there is none on any rank. Sweeps over all cells
-/// that do not start from zero come after one over those beside metal, with red_black. Collective.
+/// part of a V-cycle, see relaxation_on; `metal`: in own cells, null if there is none on any rank. Sweeps over all
+/// cells that do not start from zero come after one over those beside metal, with red_black. Collective.
 std::unique_ptr<Smoother> make_smoother(LevelOperators const& operators, bool v_cycle, SolverOptions const& options,
                                         MetalCells const* metal);
 

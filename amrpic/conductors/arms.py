@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import _native
 from ..shapes import Shape
-from ..shapes.spans import Floats, Ints
+from ..shapes.spans import Floats, Ints, Spans
 from .conductor import Conductor
 from .contacts import Contact, LineSpans, contacts
 
@@ -103,8 +103,7 @@ def traced_boxes(
     for number in reversed(range(len(electrodes))):  # so that the first ones come last, and stay
         if not reaches(electrodes[number].shape, cells, lattice):
             continue
-        for axis in range(3):
-            traced = trace(electrodes[number].shape, cells, lattice, axis)
+        for axis, traced in enumerate(trace(electrodes[number].shape, cells, lattice)):
             lines[number].append(traced.lines)
             _native.mark_in_metal(*traced.solid_cells(cells, lattice), number, axis, owner, axes)
             crossings += traced.crossings(cells, lattice, number)
@@ -237,34 +236,65 @@ def reaches(shape: Shape, cells: GrownBoxes, lattice: Lattice) -> bool:
     return bool(((cells.lower <= high + 2) & (cells.upper >= low - 2)).all(axis=1).any())
 
 
-def trace(shape: Shape, cells: GrownBoxes, lattice: Lattice, axis: int) -> Traced:
-    """Return the spans of a shape on the lines along an axis through boxes, where these meet the box around the shape."""
-    bounds = np.array(shape.bounds)
-    low, high = (np.stack([lattice.index(a, corner[a]) for a in range(3)]) for corner in bounds)
-    lower = np.maximum(cells.lower, np.floor(low).astype(np.int64))
-    upper = np.minimum(cells.upper, np.ceil(high).astype(np.int64))
-    u, v = (a for a in range(3) if a != axis)
-    # A layer more along the line: a surface just outside the box may be nearer than rounding.
-    along = (cells.lower[:, axis] <= np.ceil(high[axis]) + 1) & (cells.upper[:, axis] >= np.floor(low[axis]) - 1)
-    size = np.where(along[:, None], np.maximum(upper - lower + 1, 0), 0)
-    count = size[:, u] * size[:, v]
-    box = np.repeat(np.arange(len(count)), count)
-    across, up = np.divmod(ramp(count), np.maximum(size[box, u], 1))
-    at_u, at_v = lower[box, u] + up, lower[box, v] + across
-    (ku, kv), line = lines_through(at_u, at_v)
-    key = key_of(ku, kv)
-    place = np.zeros((len(key), 3))
-    place[:, u], place[:, v] = lattice.centre(u, ku), lattice.centre(v, kv)
-    spans = shape.spans(place, axis)
-    begin = np.searchsorted(spans.line, np.arange(len(key) + 1))
-    count = (begin[1:] - begin[:-1])[line]
-    span = np.repeat(begin[:-1][line], count) + ramp(count)
-    base = cells.first[box] - (cells.lower[box] * cells.stride[box]).sum(axis=1)
-    base += at_u * cells.stride[box, u] + at_v * cells.stride[box, v]
-    inner = np.ones(len(box), bool)
-    for a, index in ((u, at_u), (v, at_v)):
-        inner &= (cells.lower[box, a] < index) & (index < cells.upper[box, a])
-    return Traced(LineSpans(axis, key, place, spans), span, *(np.repeat(part, count) for part in (box, base, inner)))
+def trace(shape: Shape, cells: GrownBoxes, lattice: Lattice) -> list[Traced]:
+    """Return the spans of a shape on the lines along x, y and z through boxes, where these meet the box around the shape."""
+    passages = [Passages.of(shape, cells, lattice, axis) for axis in range(3)]
+    count = [len(passage.key) for passage in passages]
+    # All three at once: of coarse levels the calls cost more than what they do.
+    all_spans = shape.spans(
+        np.concatenate([passage.place for passage in passages]), np.repeat(np.eye(3), count, axis=0)
+    )
+    first = np.cumsum([0, *count])
+    ends = np.searchsorted(all_spans.line, first)
+    return [
+        passage.traced(axis, all_spans.part(ends[axis], ends[axis + 1], first[axis]))
+        for axis, passage in enumerate(passages)
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class Passages:
+    """Lines of the lattice along an axis, and their ways through boxes."""
+
+    key: Ints  # (n,) of each line, sorted
+    place: Floats  # (n, 3) on it, where the coordinate along it is zero, m
+    line: Ints  # (p,) for each way through a box: the line,
+    box: Ints  # (p,) the box,
+    cell: Ints  # (p,) number that the cell of index 0 on the line would have,
+    inner: NDArray[np.bool_]  # (p,) and whether the line goes through the box without the layer around it
+
+    @classmethod
+    def of(cls, shape: Shape, cells: GrownBoxes, lattice: Lattice, axis: int) -> Passages:
+        """Return those that meet the box around a shape."""
+        bounds = np.array(shape.bounds)
+        low, high = (np.stack([lattice.index(a, corner[a]) for a in range(3)]) for corner in bounds)
+        lower = np.maximum(cells.lower, np.floor(low).astype(np.int64))
+        upper = np.minimum(cells.upper, np.ceil(high).astype(np.int64))
+        u, v = (a for a in range(3) if a != axis)
+        # A layer more along the line: a surface just outside the box may be nearer than rounding.
+        along = (cells.lower[:, axis] <= np.ceil(high[axis]) + 1) & (cells.upper[:, axis] >= np.floor(low[axis]) - 1)
+        size = np.where(along[:, None], np.maximum(upper - lower + 1, 0), 0)
+        count = size[:, u] * size[:, v]
+        box = np.repeat(np.arange(len(count)), count)
+        across, up = np.divmod(ramp(count), np.maximum(size[box, u], 1))
+        at_u, at_v = lower[box, u] + up, lower[box, v] + across
+        (ku, kv), line = lines_through(at_u, at_v)
+        key = key_of(ku, kv)
+        place = np.zeros((len(key), 3))
+        place[:, u], place[:, v] = lattice.centre(u, ku), lattice.centre(v, kv)
+        cell = cells.first[box] - (cells.lower[box] * cells.stride[box]).sum(axis=1)
+        cell += at_u * cells.stride[box, u] + at_v * cells.stride[box, v]
+        inner = np.ones(len(box), bool)
+        for a, index in ((u, at_u), (v, at_v)):
+            inner &= (cells.lower[box, a] < index) & (index < cells.upper[box, a])
+        return cls(key, place, line, box, cell, inner)
+
+    def traced(self, axis: int, spans: Spans) -> Traced:
+        begin = np.searchsorted(spans.line, np.arange(len(self.key) + 1))
+        count = (begin[1:] - begin[:-1])[self.line]
+        span = np.repeat(begin[:-1][self.line], count) + ramp(count)
+        pieces = (np.repeat(part, count) for part in (self.box, self.cell, self.inner))
+        return Traced(LineSpans(axis, self.key, self.place, spans), span, *pieces)
 
 
 def key_of(u: Ints, v: Ints) -> Ints:

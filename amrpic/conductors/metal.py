@@ -177,7 +177,7 @@ def _lines_of_both(two: Sequence[Conductor], cells: Lattice) -> tuple[Lattice, l
     lattice = _lattice_through(upper - lower, cells)
     ends = [[lattice.index(axis, place[axis]) for axis in range(3)] for place in (lower, upper)]
     boxes = GrownBoxes.around(np.array([[*np.floor(ends[0]), *np.ceil(ends[1])]], np.int64))
-    return lattice, [[trace(electrode.shape, boxes, lattice, axis).lines for axis in range(3)] for electrode in two]
+    return lattice, [[traced.lines for traced in trace(electrode.shape, boxes, lattice)] for electrode in two]
 
 
 def _lattice_through(extent: Floats, lattice: Lattice) -> Lattice:

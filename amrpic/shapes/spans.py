@@ -39,6 +39,11 @@ class Spans:
             self.line[chosen], self.enter[chosen], self.leave[chosen], self.first[chosen], self.last[chosen]
         )
 
+    def part(self, first: int, end: int, line: int) -> Self:
+        """Return those from `first` to `end`, with lines counted from `line` on."""
+        at = slice(first, end)
+        return type(self)(self.line[at] - line, self.enter[at], self.leave[at], self.first[at], self.last[at])
+
 
 def combined(bodies: Sequence[Spans], surfaces: Sequence[int], needed: int, holes: int = 0) -> Spans:
     """Return the spans in at least `needed` of the bodies and in none of the last `holes` ones.

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <iterator>
+#include <optional>
 
 #include "mesh/box_set.hpp"
 
@@ -140,9 +141,14 @@ void Metal::add_holds(Level const& level, Level const& finer, Level const* next,
                            [&](int, Box const& part, Index3 const&) { parts.push_back(part); });
   if (children == 1 || parts.empty()) return;
   MetalCells const& metal = found(parts, finer.spacing());
-  auto const counts = [&](Index3 const& cell, Index3 const& child) {
-    return level.domain().contains(cell) && !cells.cut_at(cell) && finer.find(child) >= 0 &&
-           !(next && next->find(first_child_of(child)) >= 0);
+  auto const counts = [&](Index3 const& child) {
+    return finer.find(child) >= 0 && !(next && next->find(first_child_of(child)) >= 0);
+  };
+  std::optional<Index3> latest;  // many children of a cell follow each other
+  bool may_hold = false;
+  auto const is_plain = [&](Index3 const& cell) {
+    if (latest != cell) latest = cell, may_hold = level.domain().contains(cell) && !cells.cut_at(cell);
+    return may_hold;
   };
   auto const parent = [&](Index3 const& child) {
     return Index3{child[0] / ratio[0], child[1] / ratio[1], child[2] / ratio[2]};
@@ -150,7 +156,7 @@ void Metal::add_holds(Level const& level, Level const& finer, Level const* next,
   Real const whole = children * coarse;
   for (CutCell const& cut : metal.cut()) {
     Index3 const cell = parent(cut.cell);
-    if (cells.solid_at(cell) || !counts(cell, cut.cell)) continue;
+    if (!is_plain(cell) || cells.solid_at(cell) || !counts(cut.cell)) continue;
     for (std::size_t n = 0; n < 6; ++n)
       if (cut.is_cut(n) && !is_behind_wall(cut, n, finer)) to.push_back({cell, weight[int(n) / 2] / whole});
   }
@@ -160,7 +166,7 @@ void Metal::add_holds(Level const& level, Level const& finer, Level const* next,
       Index3 const cell = parent(child);
       if (SolidCells const* const own = cells.solid_at(cell))  // on to what lies behind these
         child[0] = ratio[0] * (own->first[0] + own->count) - 1;
-      else if (counts(cell, child))
+      else if (is_plain(cell) && counts(child))
         to.push_back({cell, of_solid});
     }
 }

@@ -14,7 +14,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "build" / "compare"
-SOURCES = ("CMakeLists.txt", "native", "amrpic", "benchmarks")
+SOURCES = ("CMakeLists.txt", "native", "amrpic", "benchmarks", "tests")  # benchmarks share exact answers with tests
 VARIABLE = re.compile(r"@([A-Za-z_]\w*)=([^@]*)")
 
 
@@ -29,16 +29,25 @@ class Build:
     def run(self, name: str, *arguments: str) -> str:
         """Return what `python benchmarks NAME` prints that imports `amrpic` from this build. Raises CalledProcessError.
 
-        A build whose package has other folders than the present one runs the benchmark of its own revision.
+        A build whose package has other modules than the present one runs the benchmark of its own revision.
         """
         own, script = self.package.parent / "benchmarks", [str(Path(__file__).parent), name]
-        if not (self.package / "amrpic" / "stages").exists() and own.exists():
+        if own.exists() and modules(self.package) != modules(ROOT):
             script = [str(own), name] if (own / "__main__.py").exists() else [str(own / f"{name}.py")]
         # -S: the present environment's own installation of amrpic would come first.
         command = [sys.executable, "-S", *script, *arguments]
         path = os.pathsep.join([str(self.package), sysconfig.get_paths()["platlib"]])
         environment = {**os.environ, "OMP_NUM_THREADS": "1", **self.environment, "PYTHONPATH": path}
         return subprocess.run(command, env=environment, check=True, stdout=subprocess.PIPE, text=True).stdout
+
+
+def modules(folder: Path) -> set[str]:
+    """Return the names of the modules and folders of the package in a folder."""
+    return {
+        path.stem
+        for path in (folder / "amrpic").iterdir()
+        if not path.name.startswith(("_native", "_processor", "__pycache__"))
+    }
 
 
 def build(given: str) -> Build:

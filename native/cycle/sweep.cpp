@@ -41,7 +41,7 @@ void Sweep::relax(std::size_t block, int k, int colour, bool from_zero, bool is_
   CellBlock const& of = layout_.blocks()[block];
   bool const by_plane = table_.metal_of && !rows.number;
   MetalPlane const* const plane = by_plane ? &stencil_.metal_plane(block, k - of.box.lower[2]) : nullptr;
-  if (by_plane && !from_zero) keep_cut_values(*plane, colour, r, e);
+  if (by_plane && !from_zero) keep_inner(*plane, colour, e), find_outer(*plane, colour, r, e);
   with_kind(of.lanes, table_.isotropic, [&](auto lanes, auto isotropic) {
     auto const act = [&](auto with_metal) {
       if (from_zero)
@@ -56,11 +56,13 @@ void Sweep::relax(std::size_t block, int k, int colour, bool from_zero, bool is_
     table_.metal_of && !by_plane ? act(std::true_type()) : act(std::false_type());
   });
   if (!by_plane) return;
-  from_zero ? relax_cut_from_zero(*plane, colour, r, e) : relax_cut(*plane, colour, of.cells, r, e);
+  if (from_zero)
+    relax_cut_from_zero(*plane, colour, r, e);
+  else
+    relax_inner<true>(*plane, colour, of.cells, r, e), place_outer(*plane, colour, e);
   if (is_last || stencil_.reads_solids()) clear_solids(*plane, e);
 }
 
-/// One colour of the cut cells of rows alone.
 void Sweep::relax_beside_metal(std::size_t block, int k, int colour, RowChoice const& rows, Vector const& r,
                                Vector& e) const {
   if (!table_.metal_of) return;
@@ -72,17 +74,21 @@ void Sweep::relax_beside_metal(std::size_t block, int k, int colour, RowChoice c
   }
   CellBlock const& of = layout_.blocks()[block];
   MetalPlane const& plane = stencil_.metal_plane(block, k - of.box.lower[2]);
-  keep_cut_values(plane, colour, r, e);
-  relax_cut(plane, colour, of.cells, r, e);
+  find_outer(plane, colour, r, e);
+  relax_inner<false>(plane, colour, of.cells, r, e);
+  place_outer(plane, colour, e);
 }
 
-/// The values of the cut cells of one colour of a plane before a step of all its cells; of outer ones, beside which a
-/// ring of odd length has cells of their own colour, those after it.
-void Sweep::keep_cut_values(MetalPlane const& plane, int colour, Vector const& r, Vector& e) const {
+/// Keep the values of the inner cut cells of one colour of a plane before a step of all its cells.
+void Sweep::keep_inner(MetalPlane const& plane, int colour, Vector const& e) const {
   auto const [first, last] = plane.inner[std::size_t(colour)];
   inner_.resize(std::size_t(last - first));
   std::int32_t const* const places = stencil_.inner_places() + first;
   for (std::size_t n = 0; n < inner_.size(); ++n) inner_[n] = e[std::size_t(places[n])];
+}
+
+/// The values of outer ones after it: beside them a ring of odd length has cells of their own colour.
+void Sweep::find_outer(MetalPlane const& plane, int colour, Vector const& r, Vector& e) const {
   auto const composed = composer(e.data(), false);
   outer_.clear();
   Row const* latest = nullptr;
@@ -97,20 +103,25 @@ void Sweep::keep_cut_values(MetalPlane const& plane, int colour, Vector const& r
   }
 }
 
-/// These relaxed, from the values that were kept.
-void Sweep::relax_cut(MetalPlane const& plane, int colour, Placement const& cells, Vector const& r, Vector& e) const {
-  int const first = plane.inner[std::size_t(colour)].first, first_outer = plane.outer[std::size_t(colour)].first;
+/// Inner ones relaxed, from the values that were kept or are there.
+template <bool were_kept>
+void Sweep::relax_inner(MetalPlane const& plane, int colour, Placement const& cells, Vector const& r, Vector& e) const {
+  auto const [first, last] = plane.inner[std::size_t(colour)];
   InnerCut const* const inner = stencil_.inner_cuts() + first;
   std::int32_t const* const places = stencil_.inner_places() + first;
   float const *const right = r.data(), keep = table_.keep;
   std::ptrdiff_t const y = cells.pitch_y, z = cells.pitch_z;
-  for (std::size_t n = 0; n < inner_.size(); ++n) {
+  for (std::size_t n = 0; n < std::size_t(last - first); ++n) {
     float* const at = e.data() + places[n];
     float const sum = sum_beside(inner[n].weight, at[-1], at[1], at[-y], at[y], at[-z], at[z]);
-    at[0] = relaxed(keep, inner_[n], inner[n].step, sum, right[places[n]]);
+    at[0] = relaxed(keep, were_kept ? inner_[n] : at[0], inner[n].step, sum, right[places[n]]);
   }
+}
+
+void Sweep::place_outer(MetalPlane const& plane, int colour, Vector& e) const {
+  int const first = plane.outer[std::size_t(colour)].first;
   for (std::size_t n = 0; n < outer_.size(); ++n) {
-    OuterCut const& outer = stencil_.outer_cuts()[first_outer + int(n)];
+    OuterCut const& outer = stencil_.outer_cuts()[first + int(n)];
     e[std::size_t(table_.rows[outer.row].place + table_.cuts[outer.cut].place)] = outer_[n];
   }
 }

@@ -29,11 +29,12 @@ class Sweep {
   Sweep(Layout const& layout, Stencil const& stencil);
 
   /// One colour (0 or 1: the parity of i + j + k) relaxed; from zero, the other becomes zero. In cells in metal values
-  /// have no meaning, and no other cell takes them, until `is_last` sets zeros there.
-  void relax_beside_metal(std::size_t block, int k, int colour, RowChoice const& rows, Vector const& r,
-                          Vector& e) const;
+  /// have no meaning until `is_last` sets zeros there; it does so each time where other cells take them.
   void relax(std::size_t block, int k, int colour, bool from_zero, bool is_last, RowChoice const& rows, Vector const& r,
              Vector& e) const;
+  /// One colour of the cells beside metal alone.
+  void relax_beside_metal(std::size_t block, int k, int colour, RowChoice const& rows, Vector const& r,
+                          Vector& e) const;
 
   /// Set the parents of which the plane holds the last children: to `weight` times the sums of residuals, or of
   /// right-hand sides.
@@ -50,8 +51,11 @@ class Sweep {
   void for_each_row(std::size_t block, int k, RowChoice const& rows, F&& f) const;
   [[gnu::noinline]] float const* composed(std::size_t side, std::int32_t number, float const* e,
                                           bool differences) const;
-  void keep_cut_values(MetalPlane const& plane, int colour, Vector const& r, Vector& e) const;
-  void relax_cut(MetalPlane const& plane, int colour, Placement const& cells, Vector const& r, Vector& e) const;
+  void keep_inner(MetalPlane const& plane, int colour, Vector const& e) const;
+  void find_outer(MetalPlane const& plane, int colour, Vector const& r, Vector& e) const;
+  template <bool were_kept>
+  void relax_inner(MetalPlane const& plane, int colour, Placement const& cells, Vector const& r, Vector& e) const;
+  void place_outer(MetalPlane const& plane, int colour, Vector& e) const;
   void relax_cut_from_zero(MetalPlane const& plane, int colour, Vector const& r, Vector& e) const;
   void clear_solids(MetalPlane const& plane, Vector& e) const;
   /// Composes rows beside a row, or their differences to that.
@@ -63,7 +67,7 @@ class Sweep {
   Stencil const& stencil_;
   RowTable table_;
   mutable std::array<Vector, 4> buffer_;      ///< composed rows beside a row
-  mutable std::vector<float> inner_, outer_;  ///< values of cut cells of a plane, before and after a step
+  mutable std::vector<float> inner_, outer_;  ///< values of cut cells of a plane: those before a step, those after it
 };
 
 }  // namespace amrpic::cycle

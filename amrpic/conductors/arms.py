@@ -293,8 +293,8 @@ class Passages:
         begin = np.searchsorted(spans.line, np.arange(len(self.key) + 1))
         count = (begin[1:] - begin[:-1])[self.line]
         span = np.repeat(begin[:-1][self.line], count) + ramp(count)
-        pieces = (np.repeat(part, count) for part in (self.box, self.cell, self.inner))
-        return Traced(LineSpans(axis, self.key, self.place, spans), span, *pieces)
+        way = np.repeat(np.arange(len(count)), count)
+        return Traced(LineSpans(axis, self.key, self.place, spans), span, self.box[way], self.cell[way], self.inner[way])
 
 
 def key_of(u: Ints, v: Ints) -> Ints:

@@ -294,7 +294,9 @@ class Passages:
         count = (begin[1:] - begin[:-1])[self.line]
         span = np.repeat(begin[:-1][self.line], count) + ramp(count)
         way = np.repeat(np.arange(len(count)), count)
-        return Traced(LineSpans(axis, self.key, self.place, spans), span, self.box[way], self.cell[way], self.inner[way])
+        return Traced(
+            LineSpans(axis, self.key, self.place, spans), span, self.box[way], self.cell[way], self.inner[way]
+        )
 
 
 def key_of(u: Ints, v: Ints) -> Ints:

@@ -30,7 +30,8 @@ class FixedPoint {
     }
     argument_ = x, change_ = change;
     Pair total{x, change};
-    for (Pair const& direction : directions(comm)) remove(direction, comm.sum(dot(total.image, direction.image)), total);
+    for (Pair const& direction : directions(comm))
+      remove(direction, comm.sum(dot(total.image, direction.image)), total);
     x = total.step;
     add(1, total.image, x);
     return sizes[1] > 0 ? std::sqrt(sizes[0] / sizes[1]) : 0;
@@ -41,8 +42,8 @@ class FixedPoint {
   struct Pair {
     std::vector<Real> step, image;  ///< of x, and what g(x) - x changes with it
   };
-  /// What was learnt, with images of length one across each other. The latest come first: what g was near its fixed point
-  /// counts more than what it was before.
+  /// What was learnt, with images of length one across each other. The latest come first: what g was near its fixed
+  /// point counts more than what it was before.
   std::vector<Pair> directions(Communicator const& comm) const {
     std::vector<Pair> out;
     for (Pair pair : kept_) {

@@ -98,11 +98,11 @@ class MetalOnMesh:
             return False
         if [electrode.shape for electrode in electrodes] != [electrode.shape for electrode in self._electrodes]:
             with together(comm, SolverError):
-                for question in self._questions:
-                    question.digest = question.digest or self._seen(self._electrodes, question).digest()
                 # coarse levels first: these take no time
                 questions = sorted(self._questions, key=lambda question: len(question.boxes))
-                same = all(self._seen(electrodes, question).digest() == question.digest for question in questions)
+                same = all(
+                    self._seen(electrodes, question).digest() == self._digest(question) for question in questions
+                )
             if not comm.allreduce(same, MPI.LAND):
                 return False
         self._electrodes = tuple(electrodes)
@@ -116,6 +116,10 @@ class MetalOnMesh:
             self._gaps.append((spacing, seen.gaps))
         self._questions.append(question)
         return seen.answer
+
+    def _digest(self, question: Question) -> bytes:
+        question.digest = question.digest or self._seen(self._electrodes, question).digest()
+        return question.digest
 
     def _seen(self, electrodes: Sequence[Conductor], question: Question) -> Seen:
         lattice = Lattice.of(self._lower, np.divide(question.spacing, self._stretch))

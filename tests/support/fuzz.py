@@ -48,8 +48,8 @@ BYTES_OF_ACCELERATION = 128  # per cell
 BYTES_PER_ROW = 4000  # of a domain a few cells wide and long: rows are padded, and each has neighbours and coefficients
 
 # Ghosts at open faces of one level, and the potential and field that they make, against the lattice; of the largest values.
-# Twice that in boxes a few cells thin, where conductors leave little of the potential. Of 553 such cases (seed 92313) the
-# median of the error of the field is 6e-6, the largest 3.9e-4.
+# Twice that in boxes a few cells thin, where conductors leave little of the potential. Of 133 cases that are not so thin (seed
+# 92313) the median of the error of the field is 6e-6, the largest 3.9e-4.
 LATTICE_BOUNDS = {"ghosts": 1.5e-4, "phi": 1e-4, "field": 5e-4}
 THIN = 8  # cells
 LATTICE_CELLS = 40_000  # for more the exact potential takes long

@@ -4,6 +4,16 @@
 
 namespace amrpic {
 
+namespace {
+
+/// Of what lies beyond a cell, among the cells of a layer of a box across an axis.
+std::ptrdiff_t place_on_face(Box const& box, int axis, Index3 const& cell) {
+  auto const [u, v] = tangential_axes(axis);
+  return (cell[u] - box.lower[u]) + std::ptrdiff_t(box.extent(u)) * (cell[v] - box.lower[v]);
+}
+
+}  // namespace
+
 CompositeGhosts::CompositeGhosts(CompositeMesh& mesh) : mesh_(mesh), fluxes_(mesh) {
   for (int f = 0; f < 6; ++f) ghosts_[std::size_t(f)].resize(mesh_.largest_face(f / 2));
   std::size_t const row = mesh_.largest_row();
@@ -129,7 +139,7 @@ void CompositeGhosts::fill_beside_metal(int l, int b, int axis, int side, Field 
     for (auto const& term : face.cells) add_to_stars(stars, term.weight, coarse[term.i + term.j * coarse_pitch]);
     for (auto const& term : face.surfaces) add_to_stars(stars, term.weight, potentials[std::size_t(term.electrode)]);
     Index3 const cell = face.at.fine(0, 0);
-    Real* const ghost = ghosts_[f].data() + own.layer(axis, side, 0).offset(cell);
+    Real* const ghost = ghosts_[f].data() + place_on_face(own, axis, cell);
     fluxes_.row(l, i, y)[x] = GhostsBesideMetal(face).set(fine, stars, cells + own.offset(cell), ghost);
   }
 }
@@ -172,7 +182,7 @@ std::size_t CompositeGhosts::bytes() const {
 /// The value of phi beyond a side of a cell of the box under way, before finer cells or in a ghost.
 Real CompositeGhosts::value_outside(int l, int b, Index3 const& cell, int side, Real phi) const {
   if (auto const difference = difference_beyond(l, b, cell, side)) return phi + *difference;
-  return ghosts(side / 2, side % 2)[mesh_.box(l, b).layer(side / 2, side % 2, 0).offset(cell)];
+  return ghosts(side / 2, side % 2)[place_on_face(mesh_.box(l, b), side / 2, cell)];
 }
 
 /// The difference of phi across a side by the finer fluxes; none where no finer cells lie beyond.
@@ -184,7 +194,7 @@ std::optional<Real> CompositeGhosts::difference_beyond(int l, int b, Index3 cons
 
 /// The datum of the wall beyond a side of a cell, which lies at one.
 Real CompositeGhosts::wall_datum(int l, int b, Index3 const& cell, int side, std::vector<Walls> const& walls) const {
-  std::ptrdiff_t const place = mesh_.box(l, b).layer(side / 2, side % 2, 0).offset(cell);
+  std::ptrdiff_t const place = place_on_face(mesh_.box(l, b), side / 2, cell);
   return walls[std::size_t(l)].datum[std::size_t(mesh_.plan(l, b).faces[side].wall + place)];
 }
 

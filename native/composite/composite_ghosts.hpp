@@ -55,7 +55,7 @@ class CompositeGhosts {
   Real value_beyond(int l, int b, CompositeMesh::CutHere const& here, int side, Real const* phi) const {
     std::ptrdiff_t const step = mesh_.box(l, b).stride(side / 2);
     return here.is_inside(std::size_t(side)) ? phi[side % 2 == 0 ? -step : step]
-                                             : value_outside(l, b, here.cell.cell, side, *phi);
+                                             : value_outside(l, b, here.at, side, *phi);
   }
   std::optional<Real> difference_beyond(int l, int b, Index3 const& cell, int side) const;
   Real wall_datum(int l, int b, Index3 const& cell, int side, std::vector<Walls> const& walls) const;

@@ -54,17 +54,18 @@ void CompositeMesh::add_metal(int l) {
   std::vector<Level const*> finer;
   if (hierarchy_->has_finer(l)) finer.push_back(&level(l + 1));
   of_level.cells = metal_of_level(*conductors_, level(l), l > 0 ? &level(l - 1) : nullptr, finer, own, false);
-  for (CutCell const& cut : metal(l).cut()) {
-    std::array<Arm, 6> arms;
-    for (std::size_t n = 0; n < 6; ++n) {
-      int const axis = int(n) / 2, side = int(n) % 2;
-      Box const& domain = level(l).domain();
-      bool const wall = !level(l).periodic()[axis] && cut.cell[axis] == (side == 0 ? domain.lower : domain.upper)[axis];
-      arms[n] = arm_of(cut, n);
-      arms[n].is_parabola = wall && hierarchy_->domain().boundary[axis][side] == Boundary::dirichlet;
-    }
-    of_level.rows.push_back(cut_row(equation(l), arms));
+}
+
+CutRow CompositeMesh::row_of(int l, CutCell const& cut) const {
+  std::array<Arm, 6> arms;
+  for (std::size_t n = 0; n < 6; ++n) {
+    int const axis = int(n) / 2, side = int(n) % 2;
+    Box const& domain = level(l).domain();
+    bool const wall = !level(l).periodic()[axis] && cut.cell[axis] == (side == 0 ? domain.lower : domain.upper)[axis];
+    arms[n] = arm_of(cut, n);
+    arms[n].is_parabola = wall && hierarchy_->domain().boundary[axis][side] == Boundary::dirichlet;
   }
+  return cut_row(equation(l), arms);
 }
 
 void CompositeMesh::add_metal_faces(int l) {
@@ -140,9 +141,10 @@ void CompositeMesh::place_metal(int l, int b, int k, std::vector<char> const& co
     Index3 const first{own.lower[0], own.lower[1] + j, own.lower[2] + k};
     auto const place = [&](Index3 const& cell) { return cell[0] - first[0] + j * own.extent(0); };
     cells.for_each_cut(first, own.extent(0), [&](CutCell const& cut) {
-      CutInPlane out{place(cut.cell), std::int32_t(&cut - cells.cut().data())};
-      if (covered[std::size_t(out.place)] != which) return;
-      out.electrode = only_electrode(cut, of.rows[std::size_t(out.number)]);
+      std::int32_t const at = place(cut.cell);
+      if (covered[std::size_t(at)] != which) return;
+      CutInPlane out{row_of(l, cut), cut.cell, at, std::int32_t(&cut - cells.cut().data())};
+      out.electrode = only_electrode(cut, out.row);
       for (int side = 0; side < 6; ++side) {
         Index3 next = cut.cell;
         next[side / 2] += side % 2 == 0 ? -1 : 1;

@@ -75,6 +75,7 @@ class CompositeMesh {
   struct CutHere {
     CutCell const& cell;
     CutRow const& row;
+    Index3 const& at;
     std::ptrdiff_t place;
     std::uint8_t inside;
     int electrode;  ///< of all surfaces in its equation; -1 if there are several, or walls among them
@@ -92,8 +93,7 @@ class CompositeMesh {
     bool const all = covered == Covered::visit;
     for (int n = plane.first_cut, end = all ? next.first_cut : plane.covered_cut; n < end; ++n) {
       CutInPlane const& at = of.cuts[std::size_t(n)];
-      f(CutHere{of.cells.cells.cut()[std::size_t(at.number)], of.rows[std::size_t(at.number)], at.place, at.inside,
-                at.electrode});
+      f(CutHere{of.cells.cells.cut()[std::size_t(at.number)], at.row, at.cell, at.place, at.inside, at.electrode});
     }
     for (int n = plane.first_solid, end = all ? next.first_solid : plane.covered_solid; n < end; ++n) {
       SolidInPlane const& run = of.solids[std::size_t(n)];
@@ -204,6 +204,7 @@ class CompositeMesh {
   void add_metal(int l);
   void add_metal_faces(int l);
   void add_refined_sides(int l);
+  CutRow row_of(int l, CutCell const& cut) const;
   void place_metal(int l);
   void place_metal(int l, int b, int k, std::vector<char> const& covered, char which);
   /// Not inlined, so that the loop's pointers and factor stay in registers.
@@ -224,6 +225,8 @@ class CompositeMesh {
   Transfer transfer_;
   Metal const* conductors_;
   struct CutInPlane {
+    CutRow row;  ///< here, where residuals pass, as its place is
+    Index3 cell;
     std::int32_t place, number;  ///< in the plane; of the cut cell
     // see CutHere
     std::uint8_t inside = 0;
@@ -241,7 +244,6 @@ class CompositeMesh {
     std::vector<Plane> planes;              ///< box after box, and the end
     std::vector<CutInPlane> cuts;
     std::vector<SolidInPlane> solids;
-    std::vector<CutRow> rows;                                     ///< of cut cells
     std::vector<std::vector<MetalFace>> faces;                    ///< of each interface
     std::map<std::pair<GlobalIndex, int>, std::int32_t> refined;  ///< of a cell's number in the domain, and its side
   };

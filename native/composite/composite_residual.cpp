@@ -112,7 +112,7 @@ void SecondOrderResidual::right_hand_side_beside_metal(int l, int b, int k, Sour
 /// What the potentials of the surfaces beside a cut cell add to its Laplacian.
 Real SecondOrderResidual::of_several_surfaces(int l, int b, CompositeMesh::CutHere const& here,
                                               Source const& source) const {
-  auto const& [cut, row, place, inside, electrode] = here;
+  auto const& [cut, row, at, place, inside, electrode] = here;
   Real out = 0;
   for (std::size_t side = 0; side < 6; ++side)
     if (row.surface(side) != 0)
@@ -125,7 +125,7 @@ Real SecondOrderResidual::of_several_surfaces(int l, int b, CompositeMesh::CutHe
 Real SecondOrderResidual::of_data(int l, int b, CompositeMesh::CutHere const& here, Source const& source) const {
   Real out = of_surfaces(l, b, here, source);
   if (here.is_inside()) return out;
-  auto const& [cut, row, place, inside, electrode] = here;
+  auto const& [cut, row, at, place, inside, electrode] = here;
   Box const& own = mesh_.box(l, b);
   for (std::size_t side = 0; side < 6; ++side) {
     int const axis = int(side) / 2;

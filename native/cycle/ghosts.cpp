@@ -347,7 +347,7 @@ void Stencil::add_metal_planes(CellBlock const& block, Row const* rows) {
               if (lies_between && cut.place > 0 && cut.place + 1 < row.cells)
                 inner_cuts_.push_back({cut.weight, cut.step}), inner_places_.push_back(row.place + cut.place);
               else
-                outer_cuts_.push_back({std::int32_t(&row - rows_.data()), n});
+                outer_cuts_.push_back(outer_cut(row, cut));
             }
           });
       plane.inner[std::size_t(colour)].last = std::int32_t(inner_cuts_.size());
@@ -360,6 +360,31 @@ void Stencil::add_metal_planes(CellBlock const& block, Row const* rows) {
     });
     plane.solids.last = std::int32_t(solids_in_planes_.size());
   }
+}
+
+/// A cut cell with the values that correction rows would have beside it.
+OuterCut Stencil::outer_cut(Row const& row, CutPlace const& cut) const {
+  OuterCut out{row.place + cut.place, {}, cut.weight, cut.step};
+  auto const set = [&](std::size_t side, std::int32_t place, float factor) {
+    out.beside[side] = place;
+    out.weight[side] *= factor;
+  };
+  for (std::size_t side = 0; side < 2; ++side) {
+    bool const ends = cut.place == (side == 0 ? 0 : row.cells - 1);
+    set(side, ends ? row.end[side] : out.place + (side == 0 ? -1 : 1), ends ? row.factor[side] : 1);
+  }
+  for (std::size_t side = 0; side < 4; ++side) {
+    std::int32_t const beside = row.beside[side];
+    if (beside >= 0) {
+      set(2 + side, beside + cut.place, 1);
+      continue;
+    }
+    std::int32_t const place = ~beside * table_.composed_pitch + cut.place;
+    ScaledRun const* run = &runs_[std::size_t(first_run_[std::size_t(~beside)])];
+    while (place >= run->place + run->count) ++run;
+    set(2 + side, run->source + place - run->place, run->factor);
+  }
+  return out;
 }
 
 std::int32_t Stencil::pooled(std::size_t pitch, std::vector<float> const& diagonal, std::vector<float> const& held) {

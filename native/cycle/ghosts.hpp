@@ -49,7 +49,10 @@ struct InnerCut {
 
 /// A cut cell at an end of its block.
 struct OuterCut {
-  std::int32_t row, cut;  ///< their numbers
+  std::int32_t place;                  ///< in a Vector
+  std::array<std::int32_t, 6> beside;  ///< places of the values beside it
+  std::array<float, 6> weight;         ///< of these, with the factors of ghosts
+  float step;
 };
 
 /// What metal makes of a plane of a block; cut cells by colour.
@@ -121,6 +124,7 @@ class Stencil {
   template <class F>
   void for_each_metal_row(Row const* first, int count, F&& f) const;
   void add_metal_planes(CellBlock const& block, Row const* rows);
+  OuterCut outer_cut(Row const& row, CutPlace const& cut) const;
   std::int32_t pooled(std::size_t pitch, std::vector<float> const& diagonal, std::vector<float> const& held);
 
   Real relaxation_;

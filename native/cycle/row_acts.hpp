@@ -192,27 +192,29 @@ inline void clear_solid_in(RowTable const& level, Row const& row, int first, int
 }
 
 /// Add `weight` times the sums of residuals in pairs, or of single ones, to parents, or set these, part by part.
-template <int lanes, bool isotropic, bool with_metal>
-inline void restrict_residuals(RowTable const& level, Row const& row, CorrectionRow at, float const* r,
+template <int lanes, bool isotropic, bool has_metal>
+inline void restrict_residuals(RowTable const& level, Row const& row, CorrectionRow const& whole, float const* r,
                                Parents const& parents, float weight, bool set, float* to) {
-  alignas(64) float left[chunk + 2 * widest];  // no vector straddles two cache lines
-  [[maybe_unused]] CorrectionRow const whole = at;
-  float const end = at.right;
-  int const last = at.last;
-  for (int first = 0; first < row.cells; first += chunk) {
-    bool const is_last = first + chunk >= row.cells;
-    at.right = is_last ? end : at.here[chunk];
-    at.last = is_last ? last : lanes - 1;
-    at.vectors = (is_last ? row.pitch - first : chunk) / lanes;
+  auto const restrict_part = [&](CorrectionRow const& at, int first, int cells) {
+    alignas(64) float left[chunk + 2 * widest];  // no vector straddles two cache lines
     residual<lanes, isotropic>(at, level.weight, r + first, level.diagonal(row) + first, left);
-    if (with_metal && level.has_metal(row)) residuals_beside_metal(level, row, whole, r, first, chunk, left);
-    restrict_row<lanes>(left, parents.over_ratio(0, is_last ? row.cells - first : chunk), parents.ratio[0], weight, set,
+    if (has_metal) residuals_beside_metal(level, row, whole, r, first, cells, left);
+    restrict_row<lanes>(left, parents.over_ratio(0, cells), parents.ratio[0], weight, set,
                         to + parents.over_ratio(0, first));
-    if (is_last) return;
+  };
+  if (row.cells <= chunk) return restrict_part(whole, 0, row.cells);  // without copies of it, which would wait
+  CorrectionRow at = whole;
+  at.last = lanes - 1, at.vectors = chunk / lanes;
+  int first = 0;
+  for (; first + chunk < row.cells; first += chunk) {
+    at.right = at.here[chunk];
+    restrict_part(at, first, chunk);
     at.left = at.here[chunk - 1];
     at.here += chunk;
     for (float const*& beside : at.beside) beside += chunk;
   }
+  at.right = whole.right, at.last = whole.last, at.vectors = (row.pitch - first) / lanes;
+  restrict_part(at, first, row.cells - first);
 }
 
 /// Row (y, z) of the parents of a block: `weight` times the sums of the children's residuals, or of their right-hand
@@ -234,11 +236,14 @@ KOKKOS_INLINE_FUNCTION void restrict_to(Parents const& parents, int y, int z, Ro
         (rows->cells & (parents.ratio[0] - 1)) == 0)
       return with_kind(rows->lanes, level.isotropic, [&](auto lanes, auto isotropic) {
         for_each_child_row([&](Row const& row, float of_row) {
-          if constexpr (of_residual)
-            restrict_residuals<lanes(), isotropic(), with_metal>(level, row,
-                                                                 level.template correction<lanes()>(row, e, composed),
-                                                                 r + row.place, parents, of_row, set, to);
-          else  // zero in metal
+          if constexpr (of_residual) {
+            auto const act = [&](auto has_metal) {
+              restrict_residuals<lanes(), isotropic(), has_metal()>(
+                  level, row, level.template correction<lanes()>(row, e, composed), r + row.place, parents, of_row, set,
+                  to);
+            };
+            with_metal && level.has_metal(row) ? act(std::true_type()) : act(std::false_type());
+          } else  // zero in metal
             restrict_row<lanes()>(r + row.place, parents.over_ratio(0, row.cells), parents.ratio[0], of_row, set, to);
         });
       });

@@ -88,18 +88,15 @@ void Sweep::keep_inner(MetalPlane const& plane, int colour, Vector const& e) con
 }
 
 /// The values of outer ones after it: beside them a ring of odd length has cells of their own colour.
-void Sweep::find_outer(MetalPlane const& plane, int colour, Vector const& r, Vector& e) const {
-  auto const composed = composer(e.data(), false);
-  outer_.clear();
-  Row const* latest = nullptr;
-  CorrectionRow at{};
-  for (int n = plane.outer[std::size_t(colour)].first; n < plane.outer[std::size_t(colour)].last; ++n) {
-    OuterCut const& outer = stencil_.outer_cuts()[n];
-    Row const& row = table_.rows[outer.row];
-    CutPlace const& cut = table_.cuts[outer.cut];
-    if (&row != latest) at = table_.correction<1>(row, e.data(), composed), latest = &row;
-    outer_.push_back(relaxed(table_.keep, at.here[cut.place], cut.step, table_.sum(row, at, cut),
-                             r[std::size_t(row.place + cut.place)]));
+void Sweep::find_outer(MetalPlane const& plane, int colour, Vector const& r, Vector const& e) const {
+  auto const [first, last] = plane.outer[std::size_t(colour)];
+  OuterCut const* const outer = stencil_.outer_cuts() + first;
+  outer_.resize(std::size_t(last - first));
+  for (std::size_t n = 0; n < outer_.size(); ++n) {
+    auto const at = [&](std::size_t side) { return e[std::size_t(outer[n].beside[side])]; };
+    std::size_t const place = std::size_t(outer[n].place);
+    float const sum = sum_beside(outer[n].weight, at(0), at(1), at(2), at(3), at(4), at(5));
+    outer_[n] = relaxed(table_.keep, e[place], outer[n].step, sum, r[place]);
   }
 }
 
@@ -119,11 +116,8 @@ void Sweep::relax_inner(MetalPlane const& plane, int colour, Placement const& ce
 }
 
 void Sweep::place_outer(MetalPlane const& plane, int colour, Vector& e) const {
-  int const first = plane.outer[std::size_t(colour)].first;
-  for (std::size_t n = 0; n < outer_.size(); ++n) {
-    OuterCut const& outer = stencil_.outer_cuts()[first + int(n)];
-    e[std::size_t(table_.rows[outer.row].place + table_.cuts[outer.cut].place)] = outer_[n];
-  }
+  OuterCut const* const outer = stencil_.outer_cuts() + plane.outer[std::size_t(colour)].first;
+  for (std::size_t n = 0; n < outer_.size(); ++n) e[std::size_t(outer[n].place)] = outer_[n];
 }
 
 /// The same where all values were zero.
@@ -134,9 +128,8 @@ void Sweep::relax_cut_from_zero(MetalPlane const& plane, int colour, Vector cons
   }
   for (int n = plane.outer[std::size_t(colour)].first; n < plane.outer[std::size_t(colour)].last; ++n) {
     OuterCut const& outer = stencil_.outer_cuts()[n];
-    CutPlace const& cut = table_.cuts[outer.cut];
-    std::size_t const place = std::size_t(table_.rows[outer.row].place + cut.place);
-    e[place] = relaxed_from_zero(cut.step, r[place]);
+    std::size_t const place = std::size_t(outer.place);
+    e[place] = relaxed_from_zero(outer.step, r[place]);
   }
 }
 

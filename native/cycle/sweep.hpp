@@ -52,7 +52,7 @@ class Sweep {
   [[gnu::noinline]] float const* composed(std::size_t side, std::int32_t number, float const* e,
                                           bool differences) const;
   void keep_inner(MetalPlane const& plane, int colour, Vector const& e) const;
-  void find_outer(MetalPlane const& plane, int colour, Vector const& r, Vector& e) const;
+  void find_outer(MetalPlane const& plane, int colour, Vector const& r, Vector const& e) const;
   template <bool were_kept>
   void relax_inner(MetalPlane const& plane, int colour, Placement const& cells, Vector const& r, Vector& e) const;
   void place_outer(MetalPlane const& plane, int colour, Vector& e) const;

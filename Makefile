@@ -17,6 +17,8 @@ PEERS := libhypre-dev
 NATIVE := CMakeLists.txt pyproject.toml $(wildcard native/* native/*/*.cpp native/*/*.hpp)
 
 # Ranks compute by themselves, may be root, and may be more than there are cores.
+# Tests start hundreds of processes: without bytecode each would compile all sources anew, which took a third of their time.
+unexport PYTHONDONTWRITEBYTECODE
 export OMP_NUM_THREADS := 1
 export OMPI_ALLOW_RUN_AS_ROOT := 1
 export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM := 1

@@ -32,6 +32,7 @@ class Page:
     loosely: bool = False  # compare the first words of printed lines alone
     needs: tuple[str, ...] = ()  # packages that it imports
     files: dict[str, str] = field(default_factory=dict)
+    long: bool = False  # for `make verify`
 
 
 LOSSY = """
@@ -79,12 +80,12 @@ checkpoint_every = 10
 """
 PAGES = {
     "README": Page(shorter="--set bunches.0.particles=20000 --set domain.cells=48", needs=("pandas", "xarray")),
-    "batch": Page(files={"first.toml": BASE + MOVES}),
-    "diagnostics": Page(("scene",), needs=("pandas",), files={"scene.toml": BASE + LOSSY}),
+    "batch": Page(files={"first.toml": BASE + MOVES}, long=True),
+    "diagnostics": Page(("scene",), needs=("pandas",), files={"scene.toml": BASE + LOSSY}, long=True),
     "elements": Page(shorter="--set schedule.steps=3 --set bunches.0.particles=500"),
-    "following": Page(("first", "drift", "drift_on_one_rank"), loosely=True),
-    "halo": Page(shorter=f"--set schedule.steps=5 {SMALL}", needs=("pandas",)),
-    "mpm": Page(shorter="--set schedule.steps=2 --set faces.z.1.press=0.002"),
+    "following": Page(("first", "drift", "drift_on_one_rank"), loosely=True, long=True),
+    "halo": Page(shorter=f"--set schedule.steps=5 {SMALL}", needs=("pandas",), long=True),
+    "mpm": Page(shorter="--set schedule.steps=2 --set faces.z.1.press=0.002", long=True),
     "losses": Page(("scene",), needs=("pandas", "beamphysics")),
     "outputs": Page(("first",)),
     "sources": Page(("waist",), needs=("beamphysics",)),
@@ -133,7 +134,8 @@ def checks(page: str, names: dict[str, Any], folder: Path) -> None:
 def with_code() -> Iterator[Any]:
     for path in code_blocks.pages():
         if code_blocks.blocks(path):
-            yield pytest.param(path, id=path.stem)
+            marks = [pytest.mark.long] if PAGES.get(path.stem, Page()).long else []
+            yield pytest.param(path, id=path.stem, marks=marks)
 
 
 @pytest.mark.parametrize("path", list(with_code()))

@@ -268,6 +268,7 @@ def test_a_given_current_converges_in_cells():
     assert np.log2(errors[0] / errors[2]) / 2 > 1.8, errors
 
 
+@pytest.mark.long
 def test_a_given_current_converges_in_steps():
     fields = [half_of_the_limit(16, finer) for finer in (1, 2, 4)]
     assert np.log2((fields[0] - fields[1]) / (fields[1] - fields[2])) > 1.8, fields

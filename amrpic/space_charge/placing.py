@@ -31,7 +31,7 @@ PER_SIZE = 8.0  # cells of the finest level per rms size
 REACH = 8.0  # rms sizes that the finest level is wide, about
 MOST_LEVELS = 16
 PER_PARTICLE, ANYHOW = 4, 300_000  # cells of the finest level that `levels_for` allows
-BINS, LEAST_BINS = 1024, 32  # of a histogram of places along an axis; fewest of a stretch whose length is told
+BINS, LEAST_BINS = 1024, 32  # of a histogram of places along an axis; fewest of a stretch whose length is good enough
 CROWD, CROWD_SIZE = (
     0.25,
     0.6373,

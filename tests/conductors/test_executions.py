@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-import backends
 from amrpic import Domain, Electrode, Field, Hierarchy, PoissonSolver, shapes
 from rank_subsets import first_ranks, wait_quietly
 
@@ -69,12 +68,7 @@ def noise(x, y, z):
 
 
 def solver_of(mesh: Hierarchy, case: Case, backend: str, **options) -> PoissonSolver:
-    try:
-        return PoissonSolver(mesh, electrodes=case.electrodes, backend=backend, **options)
-    except Exception as refused:
-        if backends.LACKS_TRILINOS in str(refused):
-            pytest.skip(str(refused))
-        raise
+    return PoissonSolver(mesh, electrodes=case.electrodes, backend=backend, **options)
 
 
 def solved(mesh: Hierarchy, case: Case, backend: str, **options):

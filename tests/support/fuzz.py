@@ -48,9 +48,10 @@ BYTES_OF_ACCELERATION = 128  # per cell
 BYTES_PER_ROW = 4000  # of a domain a few cells wide and long: rows are padded, and each has neighbours and coefficients
 
 # Ghosts at open faces of one level, and the potential and field that they make, against the lattice; of the largest values.
-# Twice that in boxes a few cells thin, where conductors leave little of the potential. Of 133 cases that are not so thin (seed
-# 92313) the median of the error of the field is 6e-6, the largest 3.9e-4.
+# More in boxes a few cells thin, where conductors leave little of the potential. Of 133 cases that are not so thin (seed 92313)
+# the median of the error of the field is 6e-6, the largest 3.9e-4; of thin ones the largest is 3.7e-4.
 LATTICE_BOUNDS = {"ghosts": 1.5e-4, "phi": 1e-4, "field": 5e-4}
+THIN_BOUNDS = {"ghosts": 3e-4, "phi": 2e-4, "field": 6e-4}
 THIN = 8  # cells
 LATTICE_CELLS = 40_000  # for more the exact potential takes long
 
@@ -187,8 +188,8 @@ def judge(case: Case, found: Outcome, plain: Outcome) -> tuple[list[Failure], fl
             fail("phi", f"differs by {worst:.2e} V, allowed are {bound:.2e} V, largest {plain.largest_phi:.2e} V")
     if found.ghosts is not None and case.total_cells <= LATTICE_CELLS:
         errors = lattice_errors(case, found.ghosts)
-        times = 2 if min(case.cells) < THIN else 1
-        if not all(errors[name] <= times * bound for name, bound in LATTICE_BOUNDS.items()):
+        bounds = THIN_BOUNDS if min(case.cells) < THIN else LATTICE_BOUNDS
+        if not all(errors[name] <= bound for name, bound in bounds.items()):
             fail("lattice", ", ".join(f"{name} {error:.1e}" for name, error in errors.items()))
     for name, outcome, matrix_free in (("", found, case.backend == "matrix-free"), ("reference: ", plain, True)):
         per_cell = BYTES_PER_CELL + BYTES_OF_ACCELERATION * outcome.accelerated

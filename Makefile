@@ -213,7 +213,7 @@ SANITIZED = env PYTHONPATH=$(CURDIR)/$(SANITIZE)/python \
   UBSAN_OPTIONS=print_stacktrace=1:halt_on_error=1
 # The history of residuals is that of the ordinary build, which fuses products and sums; and there is no pool to be tested.
 ONE_RANK := not 2r and not 3r and not 4r and not static_64_takes_six_cycles and not used_again and not idle_memory
-NATIVE_TESTS := $(foreach name,solver_oracle poisson matrixfree composite deposit particles clouds free_space compensation fourth_order fem_operators,$(wildcard tests/*/test_$(name).py))
+NATIVE_TESTS := $(foreach name,solver_oracle poisson matrixfree composite deposit particles clouds free_space compensation fourth_order fem_operators cut_rows executions gaps surfaces_across_levels,$(wildcard tests/*/test_$(name).py))
 
 sanitize: setup  ## tests of the native side under sanitizers, with bounds of boxes checked
 	@mkdir -p $(SANITIZE)/python

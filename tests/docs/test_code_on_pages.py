@@ -123,6 +123,8 @@ def checks(page: str, names: dict[str, Any], folder: Path) -> None:
         assert names["simulation"].step == names["simulation"].scene.schedule.last_step
         assert {"step", "rms_x"} <= set(names["results"].series)
         assert (folder / "runs" / "drift" / "own_far.csv").exists()
+        left = {path.name for path in (folder / "runs" / "ten_bunches").iterdir()}
+        assert {"fields_00000009.vtkhdf", "series.csv", "beam.csv", "checkpoint_00000009"} <= left
     elif page == "extend":
         assert names["with_wire"].step == 2 and names["simulation"].hierarchy.levels == 2
     elif page == "gmls":

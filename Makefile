@@ -17,7 +17,7 @@ PEERS := libhypre-dev
 NATIVE := CMakeLists.txt pyproject.toml $(wildcard native/* native/*/*.cpp native/*/*.hpp)
 
 # Ranks compute by themselves, may be root, and may be more than there are cores.
-# Tests start hundreds of processes: without bytecode each would compile all sources anew, which took a third of their time.
+# Without bytecode each process compiles all sources anew: a third of its start.
 unexport PYTHONDONTWRITEBYTECODE
 export OMP_NUM_THREADS := 1
 export OMPI_ALLOW_RUN_AS_ROOT := 1

@@ -75,7 +75,7 @@ class CompositeMesh {
   struct CutHere {
     CutCell const& cell;
     CutRow const& row;
-    Index3 const& at;
+    Index3 const& at;  ///< the indices of the cell
     std::ptrdiff_t place;
     std::uint8_t inside;
     int electrode;  ///< of all surfaces in its equation; -1 if there are several, or walls among them

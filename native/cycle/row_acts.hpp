@@ -242,7 +242,9 @@ KOKKOS_INLINE_FUNCTION void restrict_to(Parents const& parents, int y, int z, Ro
                   level, row, level.template correction<lanes()>(row, e, composed), r + row.place, parents, of_row, set,
                   to);
             };
-            with_metal&& level.has_metal(row) ? act(std::true_type()) : act(std::false_type());
+            if constexpr (with_metal)
+              if (level.has_metal(row)) return act(std::true_type());
+            act(std::false_type());
           } else  // zero in metal
             restrict_row<lanes()>(r + row.place, parents.over_ratio(0, row.cells), parents.ratio[0], of_row, set, to);
         });

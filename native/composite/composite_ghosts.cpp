@@ -4,16 +4,6 @@
 
 namespace amrpic {
 
-namespace {
-
-/// Of what lies beyond a cell, among the cells of a layer of a box across an axis.
-std::ptrdiff_t place_on_face(Box const& box, int axis, Index3 const& cell) {
-  auto const [u, v] = tangential_axes(axis);
-  return (cell[u] - box.lower[u]) + std::ptrdiff_t(box.extent(u)) * (cell[v] - box.lower[v]);
-}
-
-}  // namespace
-
 CompositeGhosts::CompositeGhosts(CompositeMesh& mesh) : mesh_(mesh), fluxes_(mesh) {
   for (int f = 0; f < 6; ++f) ghosts_[std::size_t(f)].resize(mesh_.largest_face(f / 2));
   std::size_t const row = mesh_.largest_row();

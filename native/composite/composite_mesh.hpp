@@ -34,6 +34,12 @@ using Blocks = std::vector<std::vector<Block<T>>>;
 enum class FullyCovered { visit, skip };  ///< boxes without uncovered cells
 enum class Covered { visit, skip };       ///< cells that finer ones cover
 
+/// Of what lies beyond a cell, among the cells of a layer of a box across an axis.
+inline std::ptrdiff_t place_on_face(Box const& box, int axis, Index3 const& cell) {
+  auto const [u, v] = tangential_axes(axis);
+  return (cell[u] - box.lower[u]) + std::ptrdiff_t(box.extent(u)) * (cell[v] - box.lower[v]);
+}
+
 /// The cells of all levels, as what is done to them box by box sees them: the boxes of this rank, counted on each level
 /// from its first one, and the lists of the plan.
 class CompositeMesh {

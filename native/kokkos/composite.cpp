@@ -200,7 +200,7 @@ CutCellPlace Composite::cut_cell(int l, int b, int k, CompositeMesh::CutHere con
   for (std::size_t side = 0; side < 6; ++side) {
     int const axis = int(side) / 2;
     Index3 const& cell = here.cell.cell;
-    std::int32_t const on_face = std::int32_t(own.layer(axis, int(side) % 2, 0).offset(cell));
+    std::int32_t const on_face = std::int32_t(place_on_face(own, axis, cell));  // where it lies at one
     out.datum[side] = here.cell.is_cut(side)        ? here.cell.electrode[side]
                       : here.row.surface(side) != 0 ? ~(mesh_.plan(l, b).faces[side].wall + on_face)
                                                     : 0;

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from mpi4py import MPI
@@ -56,6 +58,7 @@ def test_concentric_spheres_have_their_capacitance_and_a_symmetric_matrix(comm, 
     assert abs(matrix[:, 0].sum()) < 1e-12 * exact
 
 
+QUICK = [("matrix-free", (1, 1, 1), 8), ("kokkos", (4, 1, 5), 16), ("crs", (4, 1, 5), 8)]
 MESHES = {
     "one level": (),
     "a refined part along the gap": [[((8, 8, 8), (23, 23, 23))]],
@@ -66,7 +69,11 @@ MESHES = {
 
 @pytest.mark.mpi(ranks=(1, 4))
 @pytest.mark.parametrize(
-    ("backend", "stretch", "size"), [("matrix-free", (1, 1, 1), 8), ("kokkos", (4, 1, 5), 16), ("crs", (1, 3, 2), 16)]
+    ("backend", "stretch", "size"),
+    [
+        pytest.param(*case, marks=[] if case in QUICK else [pytest.mark.long])
+        for case in itertools.product(("matrix-free", "kokkos", "crs"), ((1, 1, 1), (4, 1, 5)), (16, 8))
+    ],
 )
 @pytest.mark.parametrize("name", MESHES)
 def test_slabs_are_exact_on_any_levels_ranks_and_executions_and_in_stretched_coordinates(

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.colors import (
     BoundaryNorm,
@@ -50,7 +51,11 @@ class Picture(Figure):
 def png(figure: Figure, dpi: float = DPI) -> bytes:
     """Return a figure as a PNG file."""
     out = io.BytesIO()
-    figure.savefig(out, format="png", dpi=dpi, bbox_inches="tight")
+    if figure.get_layout_engine() is None:
+        figure.savefig(out, format="png", dpi=dpi, bbox_inches="tight")
+    else:  # no margins are left to be cut off: it is laid out while it is drawn, where savefig draws it twice
+        figure.set_dpi(dpi)
+        FigureCanvasAgg(figure).print_png(out)
     return out.getvalue()
 
 

@@ -46,6 +46,10 @@ class Arrived:
     tallies: Tallies  # likewise
     deposition: Deposition | None = None  # of these particles, if it has begun
 
+    @property
+    def records(self) -> tuple[Record, Record, Tallies]:
+        return self.lost, self.screens, self.tallies
+
 
 def place(bunches: list[Particles], base: Hierarchy, window: Window, start: float, setup: Setup) -> Arrived:
     """Return the particles of bunches at their start (s); those outside are lost. Collective.

@@ -47,8 +47,7 @@ def advance(state: State, setup: Setup) -> State:
     staggered = gather_and_push(solution, beam.particles, lag, dt, step, time, course, setup)
     # Boxes may be cut anew without another cell, as after a restart on other ranks.
     regridded = beam.hierarchy is not state.hierarchy and not beam.hierarchy.same_cells(state.hierarchy)
-    records = arrived.lost, arrived.screens, arrived.tallies
-    return State(staggered, solution, *records, course, step, time, goal, regridded, setup.clock.take())
+    return State(staggered, solution, *arrived.records, course, step, time, goal, regridded, setup.clock.take())
 
 
 def begin(comm: MPI.Comm, scene: Scene, fields: Sequence[FieldFunction] = ()) -> tuple[State, Setup]:
@@ -66,8 +65,7 @@ def begin(comm: MPI.Comm, scene: Scene, fields: Sequence[FieldFunction] = ()) ->
     check_images(beam, solution, 0, setup)
     setup = with_time_step(setup, beam, solution, course)
     staggered = gather_and_push(solution, beam.particles, 0.0, setup.dt, 0, start, course, setup)
-    records = arrived.lost, arrived.screens, arrived.tallies
-    return State(staggered, solution, *records, course, 0, start, setup.dt, spent=setup.clock.take()), setup
+    return State(staggered, solution, *arrived.records, course, 0, start, setup.dt, spent=setup.clock.take()), setup
 
 
 def _made(base: Hierarchy, course: Course, setup: Setup) -> tuple[Arrived, float, Setup]:

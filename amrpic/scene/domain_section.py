@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cached_property
 from typing import Annotated, Any, Self
 
 from pydantic import BeforeValidator, Field, WithJsonSchema, model_validator
@@ -40,7 +41,7 @@ class CuboidSection(Section):
             _require_measurable(AXES[axis], lower, upper, cells)
         return self
 
-    @property
+    @cached_property
     def value(self) -> Domain:
         """The domain that hierarchies are made of."""
         return Domain(self.lower, self.upper, self.cells)
@@ -112,7 +113,7 @@ class DomainSection(CuboidSection):
             if rim.jump > JUMP
         ]
 
-    @property
+    @cached_property
     def value(self) -> Domain:
         """The domain that hierarchies are made of."""
         return Domain(self.lower, self.upper, self.cells, self.boundary)

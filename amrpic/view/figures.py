@@ -16,7 +16,7 @@ from ..io.atomic_files import publish, temporary
 from ..io.field_reader import Dump
 from ..io.writer_ranks import one_line
 from ..mesh.domain import AXES
-from ..mesh.pictures import DPI, draw_curve, plane
+from ..mesh.pictures import draw_curve, plane, png
 from ..mesh.raster import ChargeSpread, Line, Raster, line_through
 from ..units import prefix_of, quantity
 from .metal_plots import metal_in
@@ -106,7 +106,7 @@ def save(figure: Figure, path: Path) -> Path:
     """Write a picture and clear it; return its path. Raises OutputError."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(temporary(path), format="png", dpi=DPI, bbox_inches="tight")
+        temporary(path).write_bytes(png(figure))
         figure.clear()  # figures are cycles of references, which live on otherwise
         publish(path)
     except OSError as error:

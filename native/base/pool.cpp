@@ -74,7 +74,7 @@ void* Pool::take(std::size_t bytes) {
     idle_.erase(std::prev(found.base()));
     idle_total_ -= bytes;
   } else {
-    while (!idle_.empty() && used_total_ + idle_total_ + bytes > most_used_) free_oldest();
+    while (!idle_.empty() && used_total_ + idle_total_ + bytes > most_used_ + most_used_ / 8) free_oldest();
     memory = new_block(bytes);
     if (page_lock.lock) page_lock.lock(memory, bytes);
   }

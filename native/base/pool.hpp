@@ -19,7 +19,8 @@ struct PageLock {
 class Pool {
  public:
   /// At most `most_idle` times the memory in use lies idle, beside what is reserved, and never so much that with what
-  /// is in use it would be more than was once in use at a time.
+  /// is in use it would be an eighth more than was once in use at a time. Without that eighth, steps that take blocks
+  /// of many sizes in turn free what they take next, and find new pages each time.
   explicit Pool(double most_idle);
 
   /// From now on let a device know the blocks of all pools.

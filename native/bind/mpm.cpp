@@ -7,6 +7,7 @@
 
 #include "bind/bind.hpp"
 #include "bind/convert.hpp"
+#include "mpm/damage.hpp"
 #include "mpm/solid.hpp"
 
 namespace nb = nanobind;

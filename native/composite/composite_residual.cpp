@@ -5,8 +5,8 @@
 
 #include "base/constants.hpp"
 #include "composite/composite_kernels.hpp"
-#include "stencil/boundary.hpp"
 #include "stencil/laplacian.hpp"
+#include "stencil/wall_ghost.hpp"
 
 namespace amrpic {
 

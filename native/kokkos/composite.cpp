@@ -199,7 +199,7 @@ CutCellPlace Composite::cut_cell(int l, int b, int k, CompositeMesh::CutHere con
   CutCellPlace out{box.first + k * pitch[2] + std::int32_t(here.place), 0, here.row, {}, {}, {}};
   for (std::size_t side = 0; side < 6; ++side) {
     int const axis = int(side) / 2;
-    Index3 const& cell = here.cell.cell;
+    Index3 const& cell = here.at;
     std::int32_t const on_face = std::int32_t(place_on_face(own, axis, cell));  // where it lies at one
     out.datum[side] = here.cell.is_cut(side)        ? here.cell.electrode[side]
                       : here.row.surface(side) != 0 ? ~(mesh_.plan(l, b).faces[side].wall + on_face)

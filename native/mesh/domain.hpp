@@ -4,7 +4,7 @@
 #include <cmath>
 
 #include "mesh/box.hpp"
-#include "stencil/boundary.hpp"
+#include "stencil/wall_ghost.hpp"
 
 namespace amrpic {
 
@@ -36,8 +36,6 @@ struct Domain {
       if (faces[0] == kind || faces[1] == kind) return true;
     return false;
   }
-  /// A potential is fixed only up to a constant: every face is periodic or Neumann.
-  bool singular() const { return !has(Boundary::open) && !has(Boundary::dirichlet); }
 };
 
 }  // namespace amrpic

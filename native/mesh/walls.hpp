@@ -3,7 +3,7 @@
 #include <vector>
 
 #include "mesh/hierarchy.hpp"
-#include "stencil/boundary.hpp"
+#include "stencil/wall_ghost.hpp"
 
 namespace amrpic {
 

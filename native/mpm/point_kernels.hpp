@@ -91,6 +91,21 @@ class Blocks {
   std::shared_ptr<Floats> high_, low_;
 };
 
+/// A point among blocks of points.
+struct Place {
+  std::int64_t block;
+  int lane;
+  std::size_t point;
+};
+
+/// Call f(place) for the points of a block.
+template <class F>
+void for_each_place(fem::Points const& points, std::int64_t block, F&& f) {
+  std::int64_t const first = points.first_point(block);
+  int const count = int(points.first_point(block + 1) - first);
+  for (int lane = 0; lane < count; ++lane) f(Place{block, lane, std::size_t(first + lane)});
+}
+
 /// What all functions `D` of slopes have in common.
 template <class D>
 struct OfSlopes {

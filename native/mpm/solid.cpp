@@ -43,21 +43,6 @@ Tensor moduli_times(Law const& law, Tensor const& f, Real damage, Tensor const& 
   return ask(law, damage, [&](auto const& own, auto... d) { return own.moduli(f, d...)(e); });
 }
 
-/// A point among blocks of points.
-struct Place {
-  std::int64_t block;
-  int lane;
-  std::size_t point;
-};
-
-/// Call f(place) for the points of a block.
-template <class F>
-void for_each_place(fem::Points const& points, std::int64_t block, F&& f) {
-  std::int64_t const first = points.first_point(block);
-  int const count = int(points.first_point(block + 1) - first);
-  for (int lane = 0; lane < count; ++lane) f(Place{block, lane, std::size_t(first + lane)});
-}
-
 /// What becomes of slopes of a displacement in space: f(place, slopes), point after point. If it `tests`, it leaves the
 /// slopes' conjugates in their place: what the gradients of nodes' functions are multiplied with.
 template <bool tests>
@@ -183,12 +168,6 @@ void stiffen(D const*, Real part, Real* state) {
 }
 
 template <class D>
-std::unique_ptr<fem::Operator> made(std::shared_ptr<fem::Points const> points, Blocks state) {
-  constexpr int components = D::values ? 1 : 3;
-  return std::make_unique<fem::OperatorOf<D, components>>(std::move(points), D(std::move(state)));
-}
-
-template <class D>
 std::unique_ptr<fem::Operator> tangent_as(Solid const& solid, Real const* u, Real stiffening) {
   Real3 const scale = fem::slope_scale(solid.points->lattice());
   Blocks state(*solid.points, D::width);
@@ -198,7 +177,7 @@ std::unique_ptr<fem::Operator> tangent_as(Solid const& solid, Real const* u, Rea
     if (stiffening > 0) stiffen(static_cast<D const*>(nullptr), stiffening, own);
     state.write(own, at.block, at.lane);
   });
-  return made<D>(solid.points, std::move(state));
+  return std::make_unique<fem::OperatorOf<D, 3>>(solid.points, D(std::move(state)));
 }
 
 template <class Kind>
@@ -268,20 +247,6 @@ std::vector<Real> determinants(Real const* deformation, std::size_t points) {
   std::vector<Real> out(points);
   for (std::size_t p = 0; p < points; ++p) out[p] = det(tensor_at(deformation + 9 * p));
   return out;
-}
-
-std::unique_ptr<fem::Operator> damage_operator(DamageEquation const& e) {
-  Real3 const scale = fem::slope_scale(e.points->lattice());
-  Blocks state(*e.points, Damage::width);
-  for (std::int64_t block = 0; block < e.points->blocks(); ++block)
-    for_each_place(*e.points, block, [&](Place const& at) {
-      std::size_t const p = at.point;
-      Real own[Damage::width] = {e.surface[p] > 0 ? e.volume[p] * (e.driving[p] + e.surface[p]) : 0};
-      for (std::size_t d = 0; d < 3; ++d)
-        own[1 + d] = e.volume[p] * e.surface[p] * e.length[p] * e.length[p] * scale[d] * scale[d];
-      state.write(own, at.block, at.lane);
-    });
-  return made<Damage>(e.points, std::move(state));
 }
 
 }  // namespace amrpic::mpm

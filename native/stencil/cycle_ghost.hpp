@@ -1,6 +1,6 @@
 #pragma once
 
-#include "stencil/boundary.hpp"
+#include "stencil/wall_ghost.hpp"
 
 namespace amrpic {
 

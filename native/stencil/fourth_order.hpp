@@ -8,9 +8,9 @@
 #include <vector>
 
 #include "base/fused.hpp"
-#include "stencil/boundary.hpp"
 #include "stencil/equation.hpp"
 #include "stencil/laplacian.hpp"
+#include "stencil/wall_ghost.hpp"
 
 namespace amrpic::fourth_order {
 

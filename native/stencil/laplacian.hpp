@@ -4,8 +4,8 @@
 
 #include "base/fused.hpp"
 #include "base/kokkos.hpp"
-#include "stencil/boundary.hpp"
 #include "stencil/equation.hpp"
+#include "stencil/wall_ghost.hpp"
 
 namespace amrpic {
 

@@ -2,8 +2,8 @@
 
 #include <cmath>
 
-#include "stencil/boundary.hpp"
 #include "stencil/intergrid.hpp"
+#include "stencil/wall_ghost.hpp"
 
 namespace amrpic {
 

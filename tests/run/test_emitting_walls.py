@@ -521,7 +521,7 @@ def gun(**changes: Any) -> Scene:
     return Scene.from_dict({**data, **changes})
 
 
-@pytest.mark.mpi(ranks=(1, 2), timeout=600)
+@pytest.mark.mpi(ranks=1, more=(2,), timeout=600)
 def test_window_bins_and_levels_go_together_with_a_source(comm, tmp_path):
     """Restarted amid emission bit by bit, no charge lost from sight, and the wall left behind as a mirror."""
     folder = comm.bcast(tmp_path)

@@ -40,7 +40,7 @@ def scene(folder, steps: int) -> Scene:
             "motion": {"kind": "leapfrog", "dt": "0.1 ns"},
             "schedule": {"steps": steps},
             "diagnostics": {"every": 5},
-            "output": {"directory": str(folder), "write": ["series", "checkpoint", "report"], "checkpoint_every": 10},
+            "output": {"directory": str(folder), "write": ["series", "checkpoint"], "checkpoint_every": 10},
         }
     )
 

@@ -7,10 +7,14 @@ that failed once.
 from __future__ import annotations
 
 import secrets
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
 import fuzz
+import mpi_batch
 from fuzz_case import Case
 from fuzz_draw import LARGE, SMALL, plainer
 from fuzz_pool import Broken, Pool
@@ -101,12 +105,20 @@ def test_shrinking_ends_at_the_plainest_case_that_still_fails():
     assert case.ranks == 1 and case.aspect_ratio == 1 and case.cells[0] <= 16 and case.backend == "matrix-free"
 
 
+@pytest.mark.parametrize("name", ["fuzz", "metal_fuzz"])
+def test_the_command_runs_by_itself(name):
+    """As the page on contributing and `make sanitize` have it: without pytest's paths."""
+    script = Path(__file__).parents[1] / "support" / f"{name}.py"
+    done = subprocess.run(
+        [sys.executable, str(script), "--cases", "1", "--seed", "1"],
+        env=mpi_batch.ENVIRONMENT,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0 and "seed 1: 1 cases, 0" in done.stdout, done.stdout + done.stderr
+
+
 def test_the_snippet_of_a_case_runs(tmp_path):
-    import subprocess
-    import sys
-
-    import mpi_batch
-
     path = tmp_path / "case.py"
     path.write_text(Case((8, 8, 8), ranks=2, max_grid_size=4, blocking_factor=4, guess="previous").snippet())
     done = subprocess.run(

@@ -22,6 +22,8 @@ from pathlib import Path
 
 import numpy as np
 
+sys.path.insert(1, str(Path(__file__).parents[1]))  # where exact answers are; pytest knows it
+
 from fuzz_case import TOLERANCE, Case, Outcome
 from fuzz_draw import LARGE, SMALL, Size, draw, plainer
 from fuzz_pool import SANITIZED, Broken, Pool

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cached_property
 from typing import Annotated, Any, Self
 
 from pydantic import BeforeValidator, Field, WithJsonSchema, model_validator
@@ -41,7 +40,7 @@ class CuboidSection(Section):
             _require_measurable(AXES[axis], lower, upper, cells)
         return self
 
-    @cached_property
+    @property
     def value(self) -> Domain:
         """The domain that hierarchies are made of."""
         return Domain(self.lower, self.upper, self.cells)
@@ -113,7 +112,7 @@ class DomainSection(CuboidSection):
             if rim.jump > JUMP
         ]
 
-    @cached_property
+    @property
     def value(self) -> Domain:
         """The domain that hierarchies are made of."""
         return Domain(self.lower, self.upper, self.cells, self.boundary)

@@ -54,8 +54,10 @@ def png(figure: Figure, dpi: float = DPI) -> bytes:
     if figure.get_layout_engine() is None:
         figure.savefig(out, format="png", dpi=dpi, bbox_inches="tight")
     else:  # no margins are left to be cut off: it is laid out while it is drawn, where savefig draws it twice
+        own = figure.dpi
         figure.set_dpi(dpi)
         FigureCanvasAgg(figure).print_png(out)
+        figure.set_dpi(own)
     return out.getvalue()
 
 

@@ -50,6 +50,10 @@ Stencil::Stencil(Level const& level, Layout const& layout, LevelFaces const& fac
   table_.zero_row = std::int32_t(layout.zero_row());
   for (CellBlock const& block : layout.blocks())
     table_.composed_pitch = std::max(table_.composed_pitch, std::int32_t(block.cells.pitch_y));
+  std::size_t rows = 0;
+  for (std::size_t b = 0; b < faces.size(); ++b)
+    rows += std::size_t(layout.blocks()[b].box.extent(1)) * std::size_t(layout.blocks()[b].box.extent(2));
+  rows_.reserve(rows);
   for (std::size_t b = 0; b < faces.size(); ++b) {
     CellBlock const& block = layout.blocks()[b];
     std::array<std::array<std::vector<Ghost>, 2>, 3> all;
@@ -67,7 +71,7 @@ Stencil::Stencil(Level const& level, Layout const& layout, LevelFaces const& fac
   }
   first_row_.push_back(std::int32_t(rows_.size()));
   first_composed_.push_back(std::int32_t(first_run_.size() - 1));
-  rows_.shrink_to_fit(), runs_.shrink_to_fit(), first_run_.shrink_to_fit();
+  runs_.shrink_to_fit(), first_run_.shrink_to_fit();
   known_.clear();
   cut_values_.resize(cuts_.size());
   if (!metal_of_.empty()) metal_of_.resize(rows_.size(), -1);
@@ -94,10 +98,11 @@ std::vector<Ghost> Stencil::ghosts(Level const& level, Layout const& layout, Gho
   auto const row_at = [&](Index3 const& first) { return &out[std::size_t(layer.offset(first))]; };
   auto fill_ghosts = [&](Index3 const& first) {
     Ghost* const row = row_at(first);
-    for (int i = 0; i < layer.extent(0); ++i) {
+    Index3 cell = first, behind = first;
+    cell[axis] += inward, behind[axis] += 2 * inward;
+    std::ptrdiff_t const behind_first = thick ? block.place(behind) : 0;
+    for (int i = 0; i < layer.extent(0); ++i, ++cell[0], ++behind[0]) {
       if (row[i].source != nothing) continue;
-      Index3 cell{first[0] + i, first[1], first[2]};
-      cell[axis] += inward;
       WallGhost end = face.is_wall ? rules.walls[axis][side] : rules.inside(cell, axis, side);
       if (!face.is_wall && rules.inside_beside_metal && !metal.empty())
         if (auto const* const cut = metal.cut_at(level.wrapped(cell));
@@ -106,8 +111,7 @@ std::vector<Ghost> Stencil::ghosts(Level const& level, Layout const& layout, Gho
       Ghost ghost{0, float(end.second), float(end.first)};
       if (face.is_wall && rules.more) ghost.first += float(rules.more(cell, axis, side));
       if (ghost.factor != 0) {
-        cell[axis] += inward;
-        std::ptrdiff_t const second = thick ? block.place(cell) : layout.find(cell);
+        std::ptrdiff_t const second = thick ? behind_first + i : layout.find(behind);
         if (second < 0) ghost.factor = 0;
         if (second >= 0) ghost.source = std::int32_t(second);
       }
@@ -169,21 +173,18 @@ void Stencil::add_rows(Layout const& layout, std::size_t b,
 
 /// The row that ghosts make: its place if it is one in memory, else ~(the composed row that is added).
 std::int32_t Stencil::compose(Ghost const* ghosts, int n, std::ptrdiff_t own, std::ptrdiff_t zero_row) {
-  std::size_t const first = runs_.size();
   std::int32_t const number = std::int32_t(first_run_.size() - 1), place = number * table_.composed_pitch;
-  for (int i = 0; i < n; ++i) {
-    Ghost const& g = ghosts[i];
-    bool const follows = i > 0 && runs_.back().factor == g.factor &&
-                         (g.factor == 0 || g.source == runs_.back().source + runs_.back().count);
-    if (follows)
-      ++runs_.back().count;
-    else
-      runs_.push_back({place + i, 1, g.source, g.factor, std::int32_t(own + i)});
+  bool is_one = true;
+  for (int begin = 0, end = 0; begin < n; begin = end) {
+    Ghost const& first = ghosts[begin];
+    auto const follows = [&](int i) {
+      return ghosts[i].factor == first.factor && (first.factor == 0 || ghosts[i].source == first.source + i - begin);
+    };
+    for (end = begin + 1; end < n && follows(end);) ++end;
+    is_one = end - begin == n && (first.factor == 0 || first.factor == 1);
+    if (!is_one) runs_.push_back({place + begin, end - begin, first.source, first.factor, std::int32_t(own + begin)});
   }
-  if (ScaledRun const run = runs_[first]; run.count == n && (run.factor == 0 || run.factor == 1)) {
-    runs_.pop_back();
-    return run.factor == 0 ? std::int32_t(zero_row) : run.source;
-  }
+  if (is_one) return ghosts->factor == 0 ? std::int32_t(zero_row) : ghosts->source;
   first_run_.push_back(std::int32_t(runs_.size()));
   return ~number;
 }
@@ -194,13 +195,20 @@ void Stencil::add_coefficients(Row* rows, CellBlock const& block,
   auto const& weight = table_.weight;
   float const plain = 2 * (weight[0] + weight[1] + weight[2]) + shift_;
   std::vector<float> diagonal, held;
-  std::map<std::array<float, 4>, std::int32_t> inner;  // of rows away from the faces of y and z, by their two ends
+  std::map<std::array<float, 4>, std::int32_t> inner;  // of rows that no face of y and z changes, by their two ends
+  auto const changes = [&](int axis, int side) {
+    auto const& of = ghosts[axis][side];
+    return std::any_of(of.begin(), of.end(),
+                       [&](Ghost const& g) { return g.first != 0 || (table_.in_differences && held_by(g) != 0); });
+  };
+  bool const below_y = changes(1, 0), above_y = changes(1, 1), below_z = changes(2, 0), above_z = changes(2, 1);
   for (int k = 0; k < nz; ++k)
     for (int j = 0; j < ny; ++j) {
       std::size_t const row = std::size_t(j + ny * k);
       Ghost const &lower = ghosts[0][0][row], &upper = ghosts[0][1][row];
       std::array<float, 4> const ends{lower.first, lower.factor, upper.first, upper.factor};
-      bool const inside = j > 0 && j < ny - 1 && k > 0 && k < nz - 1;
+      bool const at_below_y = below_y && j == 0, at_above_y = above_y && j == ny - 1, at_below_z = below_z && k == 0,
+                 at_above_z = above_z && k == nz - 1, inside = !(at_below_y || at_above_y || at_below_z || at_above_z);
       if (inside)
         if (auto const known = inner.find(ends); known != inner.end()) {
           rows[row].coefficients = known->second;
@@ -219,10 +227,10 @@ void Stencil::add_coefficients(Row* rows, CellBlock const& block,
         for (int i = 0; i < nx; ++i) diagonal[std::size_t(i)] -= weight[axis] * g[i].first;
         for (std::size_t i = 0; i < held.size(); ++i) held[i] += weight[axis] * held_by(g[i]);
       };
-      if (j == 0) subtract(1, 0, k);
-      if (j == ny - 1) subtract(1, 1, k);
-      if (k == 0) subtract(2, 0, j);
-      if (k == nz - 1) subtract(2, 1, j);
+      if (at_below_y) subtract(1, 0, k);
+      if (at_above_y) subtract(1, 1, k);
+      if (at_below_z) subtract(2, 0, j);
+      if (at_above_z) subtract(2, 1, j);
       std::int32_t const start = pooled(std::size_t(block.cells.pitch_y), diagonal, held);
       if (inside) inner[ends] = start;
       rows[row].coefficients = start;

@@ -43,7 +43,7 @@ Array<float> const& Coarsening::target() const {
 }
 
 /// The sums over the children of all parents, of residuals or of right-hand sides.
-template <bool of_residual>
+template <bool of_residual, bool with_metal>
 void Coarsening::restrict_rows() {
   if (!plan_.in_place_) fill(values_.array(), 0.0f);
   LevelTables const level = fine_.tables();
@@ -54,9 +54,9 @@ void Coarsening::restrict_rows() {
       "restrict", on.parent_rows, KOKKOS_LAMBDA(Worker const& worker, std::int32_t n) {
         ParentRow const& of = on.parent_rows(n);
         Block const& block = on.blocks(of.block);
-        cycle::restrict_to<of_residual, true>(on.taking(of.block), of.y, of.z, level, level.rows + block.first_row,
-                                              block.ny, block.nz, weight, level.composed_rows(), r.data(), e.data(),
-                                              out.data(), worker);
+        cycle::restrict_to<of_residual, with_metal>(on.taking(of.block), of.y, of.z, level,
+                                                    level.rows + block.first_row, block.ny, block.nz, weight,
+                                                    level.composed_rows(), r.data(), e.data(), out.data(), worker);
       });
 }
 
@@ -66,13 +66,13 @@ void Coarsening::prepare_residual() {
 }
 
 void Coarsening::restrict_residual() {
-  restrict_rows<true>();
+  fine_.tables().metal_of ? restrict_rows<true, true>() : restrict_rows<true, false>();
   if (plan_.refines_) interface_.subtract_flux(fine_.correction().array(), target());
   add_to_coarse_level();
 }
 
 void Coarsening::restrict_right_hand_side() {
-  restrict_rows<false>();
+  fine_.tables().metal_of ? restrict_rows<false, true>() : restrict_rows<false, false>();
   add_to_coarse_level();
 }
 

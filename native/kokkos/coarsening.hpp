@@ -29,7 +29,7 @@ class Coarsening {
   std::size_t bytes() const;
 
   // Parts of the acts, and what kernels read, public because CUDA wants it to be.
-  template <bool of_residual>
+  template <bool of_residual, bool with_metal>
   void restrict_rows();
   void prolong_rows(bool set);
   struct ParentRow {

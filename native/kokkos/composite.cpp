@@ -575,22 +575,11 @@ Real Composite::residual_of_level(int l, Background const& background, Norm norm
         Real const *const zm = k > 0 ? c - nx * ny : ghost(4, j * nx), *const zp =
                                                                            k + 1 < nz ? c + nx * ny : ghost(5, j * nx);
         Real const xm = *ghost(0, j + k * ny), xp = *ghost(1, j + k * ny);
-        auto const put = [=](int i, Real value) {
-          out[i] = float(scale * value);
-          return value;
-        };
-        auto const plain = [=](int i, Real before, Real after) {
-          return formula(charge[i], c[i], before, after, ym[i], yp[i], zm[i], zp[i]);
-        };
-        if (row.special == all_plain)
-          return sizes.over(worker, nx, c, xm, xp,
-                            [=](int i, Real before, Real after) { return put(i, plain(i, before, after)); });
         // With the fluxes of the finer level through the faces of refined cells, in place of the differences across.
-        return sizes.over(worker, nx, c, xm, xp, [&](int i, Real before, Real after) {
+        auto const beside_finer = [&](int i, Real before, Real after, Real value) {
           std::int32_t const cell = row.special + i;
-          if (level.kind(cell) == CellKind::covered) return put(i, 0);
-          if (level.kind(cell) == CellKind::cut) return put(i, level.of_cut(cell));
-          Real value = plain(i, before, after);
+          if (level.kind(cell) == CellKind::covered) return Real(0);
+          if (level.kind(cell) == CellKind::cut) return level.of_cut(cell);
           for (std::int32_t f = level.first_refined(cell); f < level.first_refined(cell + 1); ++f) {
             RefinedFace const& face = level.refined(f);
             Real const flux = face.flux >= 0 ? fluxes(face.flux) : received(~face.flux);
@@ -599,8 +588,22 @@ Real Composite::residual_of_level(int l, Background const& background, Norm norm
                                                  : (face.side == 0 ? zm[i] : zp[i]);
             value -= formula.equation.weight[std::size_t(face.axis)] * (fine_face_weight * flux - (beyond - c[i]));
           }
-          return put(i, value);
-        });
+          return value;
+        };
+        // Loops over whole vectors ask for nothing that is the same in all cells.
+        auto const of_row = [&](auto differences, auto plain) {
+          return sizes.over(worker, nx, c, xm, xp, [=](int i, Real before, Real after) {
+            Real value = formula.find<differences()>(charge[i], c[i], before, after, ym[i], yp[i], zm[i], zp[i]);
+            if constexpr (!plain()) value = beside_finer(i, before, after, value);
+            out[i] = float(scale * value);
+            return value;
+          });
+        };
+        auto const by = [&](auto differences) {
+          return row.special == all_plain ? of_row(differences, std::true_type())
+                                          : of_row(differences, std::false_type());
+        };
+        return formula.in_differences ? by(std::true_type()) : by(std::false_type());
       });
 }
 

@@ -55,25 +55,43 @@ void SweptLevel::compose(Range const& runs, bool differences) {
       });
 }
 
-/// One colour of some rows, at most `reach` steps from own cells.
-void SweptLevel::half_sweep(Range const& rows, cycle::HalfSweep const& half, int reach, cycle::Relaxed cells) {
+/// One colour of some rows, at most `reach` steps from own cells. A kernel asks for nothing that is the same in all
+/// rows: on the host rows are short, on a card registers are few.
+template <bool with_metal>
+void SweptLevel::half_sweep(Range const& rows, cycle::HalfSweep const& half, int reach) {
   LevelTables const level = tables_;
   auto const r = r_.array(), e = e_.array();
   int const colour = half.colour;
-  bool const from_zero = half.is_fresh, all = cells == cycle::Relaxed::all;
-  for_each_row(
-      "relax", rows, KOKKOS_LAMBDA(Worker const& worker, std::int32_t n) {
-        cycle::Row const& row = level.rows[n];
-        if (row.steps > reach) return;
-        if (!all)
-          return cycle::relax_beside_metal(level, row, colour, level.composed_rows(), r.data(), e.data(), worker);
-        worker.with_kind(row.lanes, level.isotropic, [&](auto lanes, auto isotropic) {
-          if (from_zero)
-            cycle::relax_from_zero<lanes(), true>(level, row, colour, r.data(), e.data(), worker);
-          else
-            cycle::relax<lanes(), isotropic(), true>(level, row, colour, level.composed_rows(), r.data(), e.data(),
-                                                     worker);
+  if (half.is_fresh)
+    for_each_row(
+        "relax from zero", rows, KOKKOS_LAMBDA(Worker const& worker, std::int32_t n) {
+          cycle::Row const& row = level.rows[n];
+          if (row.steps > reach) return;
+          worker.with_kind(row.lanes, true, [&](auto lanes, auto) {
+            cycle::relax_from_zero<lanes(), with_metal>(level, row, colour, r.data(), e.data(), worker);
+          });
         });
+  else
+    for_each_row(
+        "relax", rows, KOKKOS_LAMBDA(Worker const& worker, std::int32_t n) {
+          cycle::Row const& row = level.rows[n];
+          if (row.steps > reach) return;
+          worker.with_kind(row.lanes, level.isotropic, [&](auto lanes, auto isotropic) {
+            cycle::relax<lanes(), isotropic(), with_metal>(level, row, colour, level.composed_rows(), r.data(),
+                                                           e.data(), worker);
+          });
+        });
+}
+/// The cut cells of one colour.
+void SweptLevel::half_sweep_beside_metal(Range const& rows, cycle::HalfSweep const& half, int reach) {
+  LevelTables const level = tables_;
+  auto const r = r_.array(), e = e_.array();
+  int const colour = half.colour;
+  for_each_row(
+      "relax beside metal", rows, KOKKOS_LAMBDA(Worker const& worker, std::int32_t n) {
+        cycle::Row const& row = level.rows[n];
+        if (row.steps <= reach)
+          cycle::relax_beside_metal(level, row, colour, level.composed_rows(), r.data(), e.data(), worker);
       });
 }
 
@@ -97,7 +115,10 @@ void SweptLevel::relax(cycle::Relaxed cells, int sweeps, bool from_zero, int fur
     bring(h.reads);
     for (Together const& part : together_) {
       if (!h.is_fresh) compose(part.runs, false);
-      half_sweep(part.rows, h, reach, cells);
+      if (cells == cycle::Relaxed::beside_metal)
+        half_sweep_beside_metal(part.rows, h, reach);
+      else
+        tables_.metal_of ? half_sweep<true>(part.rows, h, reach) : half_sweep<false>(part.rows, h, reach);
     }
     stale_ |= h.changes;
   }

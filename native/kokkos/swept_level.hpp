@@ -57,7 +57,9 @@ class SweptLevel {
 
   // Parts of `relax`, public because CUDA wants members with kernels to be.
   void compose(Range const& runs, bool differences);
-  void half_sweep(Range const& rows, cycle::HalfSweep const& half, int reach, cycle::Relaxed cells);
+  template <bool with_metal>
+  void half_sweep(Range const& rows, cycle::HalfSweep const& half, int reach);
+  void half_sweep_beside_metal(Range const& rows, cycle::HalfSweep const& half, int reach);
 
  private:
   void relax(cycle::Relaxed cells, int sweeps, bool from_zero, int further);

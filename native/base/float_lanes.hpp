@@ -28,8 +28,12 @@ struct FloatLanes<16> {
   typedef int Mask __attribute__((vector_size(64)));
   static constexpr Mask numbers{0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
   // one instruction, where the compiler takes one with a table
-  static Type from_left(Type low, Type a) { return (Type)_mm512_alignr_epi32((__m512i)a, (__m512i)low, 15); }
-  static Type from_right(Type a, Type high) { return (Type)_mm512_alignr_epi32((__m512i)high, (__m512i)a, 1); }
+  static Type from_left(Type low, Type a) {
+    return (Type)_mm512_maskz_alignr_epi32(0xffff, (__m512i)a, (__m512i)low, 15);
+  }
+  static Type from_right(Type a, Type high) {
+    return (Type)_mm512_maskz_alignr_epi32(0xffff, (__m512i)high, (__m512i)a, 1);
+  }
   static Type even(Type a, Type b) {
     return __builtin_shufflevector(a, b, 0, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30);
   }

@@ -17,8 +17,8 @@ inline Vector inverse_root(Vector const& value) {
     return {inverse_root(value.low), inverse_root(value.high)};
   } else {
 #ifdef AMRPIC_AVX512
-    Vector const guess =
-        (Vector)_mm512_rsqrt14_pd((__m512d)value);  // to 2^-14; the series then leaves its fourth power
+    Vector const guess = (Vector)_mm512_maskz_rsqrt14_pd(
+        all_lanes, (__m512d)value);  // to 2^-14; the series then leaves its fourth power
     Vector const left = 1 - value * guess * guess;
     return guess + guess * left * (0.5 + left * (0.375 + left * 0.3125));
 #else
@@ -41,7 +41,8 @@ inline Vector reciprocal(Vector const& value) {
     return {reciprocal(value.low), reciprocal(value.high)};
   } else {
 #ifdef AMRPIC_AVX512
-    Vector const guess = (Vector)_mm512_rcp14_pd((__m512d)value), left = 1 - value * guess, near = guess + guess * left;
+    Vector const guess = (Vector)_mm512_maskz_rcp14_pd(all_lanes, (__m512d)value), left = 1 - value * guess,
+                 near = guess + guess * left;
     return near + near * (left * left);
 #else
     return 1 / value;

@@ -37,7 +37,7 @@ inline IndexLanes to_index(Lanes const& values) { return __builtin_convertvector
 
 inline Lanes square_root(Lanes const& x) {
 #ifdef AMRPIC_AVX512
-  return (Lanes)_mm512_sqrt_pd((__m512d)x);
+  return (Lanes)_mm512_maskz_sqrt_pd(all_lanes, (__m512d)x);
 #else
   Lanes out;
   for (int i = 0; i < lane_count; ++i) out[i] = std::sqrt(x[i]);

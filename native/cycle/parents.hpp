@@ -1,7 +1,7 @@
 #pragma once
 
 #include "cycle/layout.hpp"
-#include "cycle/row_kernels.hpp"
+#include "cycle/rows.hpp"
 #include "stencil/odd_extents.hpp"
 
 namespace amrpic::cycle {

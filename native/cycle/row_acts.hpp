@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "cycle/parents.hpp"
+#include "cycle/row_kernels.hpp"
 #include "cycle/row_table.hpp"
 
 /// On the host what is rare stays out of loops over whole vectors. On a card a call would put all that it is given, and

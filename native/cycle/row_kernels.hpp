@@ -6,9 +6,8 @@
 
 #include "base/fetch.hpp"
 #include "base/lanes.hpp"
+#include "cycle/rows.hpp"
 #include "stencil/intergrid.hpp"
-#include "stencil/laplacian.hpp"
-#include "stencil/relaxation.hpp"
 
 namespace amrpic::cycle {
 
@@ -24,15 +23,6 @@ void with_kind(int lanes, bool isotropic, F&& f) {
   };
   lanes == widest ? choose(integral_constant<int, widest>()) : choose(integral_constant<int, narrowest>());
 }
-
-/// A row of a correction and its neighbours: the rows beside it, and the cells before and after it.
-struct CorrectionRow {
-  float* here;
-  std::array<float const*, 4> beside;  ///< y below, above, z below, above
-  float left, right;
-  int vectors;  ///< of N cells
-  int last;     ///< lane of the last cell in the last vector
-};
 
 /// Call f(v, e, sum) for each vector of a row: its values, and the weighted sum over its neighbours.
 template <int N, bool isotropic, class F>
@@ -90,21 +80,6 @@ inline void residual(CorrectionRow const& row, std::array<float, 3> const& weigh
   });
 }
 
-/// A row and its neighbours for a residual of differences: `left` and `right` are differences, and so are the rows
-/// beside it less those of `less`.
-struct DifferenceRow : CorrectionRow {
-  std::array<float const*, 4> less;
-  int cells;
-
-  KOKKOS_INLINE_FUNCTION float remaining(std::array<float, 3> const& weight, float r, float held, int i) const {
-    float const e = here[i];
-    float const before = i > 0 ? here[i - 1] - e : left, after = i + 1 < cells ? here[i + 1] - e : right;
-    auto across = [&](std::size_t side) {
-      return (beside[side][i] - less[side][i]) + (beside[side + 1][i] - less[side + 1][i]);
-    };
-    return amrpic::remaining(r, weighted_sum(weight, before + after, across(0), across(2)), held, e);
-  }
-};
 inline void residual(DifferenceRow const& row, std::array<float, 3> const& weight, float const* r, float const* held,
                      float* out) {
   auto const find = [&](int i) { out[i] = row.remaining(weight, r[i], held[i], i); };
@@ -133,21 +108,6 @@ inline void restrict_row(float const* fine, int cells, int ratio, float weight, 
       put<N>(coarse + place, weight * (L::even(a, b) + L::odd(a, b)), cells - place, set);
     }
   }
-}
-
-/// One, two or four rows of a coarser level, and what a fine row takes of each; `row` points at the first parent.
-struct CoarseRows {
-  std::array<float const*, 4> row;
-  std::array<float, 4> weight;
-  int count;
-};
-
-/// The weighted sum over coarse rows at one place.
-KOKKOS_INLINE_FUNCTION float mean(CoarseRows const& coarse, int place) {
-  float sum = 0;
-  for (std::size_t c = 0; c < 4; ++c)
-    if (int(c) < coarse.count) sum += coarse.weight[c] * coarse.row[c][place];
-  return sum;
 }
 
 /// Set a fine row of `vectors` to the trilinear interpolation between coarse rows, or add it. The sweeps behind read r

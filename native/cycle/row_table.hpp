@@ -3,7 +3,7 @@
 #include <array>
 #include <cstdint>
 
-#include "cycle/row_kernels.hpp"
+#include "cycle/rows.hpp"
 
 namespace amrpic::cycle {
 

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "cycle/row_acts.hpp"
+
 namespace amrpic::cycle {
 
 void wavefront(Layout const& layout, std::vector<PlaneStage> const& stages, std::function<void(int)> const& before) {

@@ -3,7 +3,7 @@
 #include <functional>
 
 #include "cycle/ghosts.hpp"
-#include "cycle/row_acts.hpp"
+#include "cycle/parents.hpp"
 
 namespace amrpic::cycle {
 

@@ -6,6 +6,8 @@
 #include <tuple>
 #include <utility>
 
+#include "freespace/lane_sums.hpp"
+
 namespace amrpic::freespace {
 
 bool BlockKey::operator<(BlockKey const& o) const {

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "freespace/lane_sums.hpp"
+
 namespace amrpic::freespace {
 
 namespace {

@@ -8,9 +8,6 @@
 #include <algorithm>
 #include <array>
 
-#include "base/inverse_root.hpp"
-#include "freespace/lane_sums.hpp"
-
 namespace amrpic::freespace {
 
 constexpr int order = 6;                                                     ///< highest l

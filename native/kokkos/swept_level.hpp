@@ -2,6 +2,7 @@
 
 #include <array>
 
+#include "cycle/row_acts.hpp"
 #include "cycle/swept_level.hpp"
 #include "kokkos/cell_copies.hpp"
 

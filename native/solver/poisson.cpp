@@ -10,6 +10,7 @@
 #include "base/constants.hpp"
 #include "base/error.hpp"
 #include "freespace/density.hpp"
+#include "freespace/free_space.hpp"
 #include "multigrid/nearly_free.hpp"
 #include "multigrid/semicoarse.hpp"
 #include "solver/compressed_rows.hpp"

@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "freespace/image.hpp"
 #include "mesh/field.hpp"
 #include "solver/backend.hpp"
 #include "solver/fixed_point.hpp"

@@ -2,9 +2,12 @@
 
 #include <memory>
 
-#include "freespace/free_space.hpp"
-
 namespace amrpic {
+
+namespace freespace {
+class FreeSpace;
+class WallPlan;
+}  // namespace freespace
 
 struct Assembled;
 class Bottom;

@@ -3,7 +3,6 @@
 #include <mpi.h>
 
 #include "base/error.hpp"
-#include "base/kokkos.hpp"
 #include "base/pool.hpp"
 #ifdef AMRPIC_WITHOUT_TRILINOS
 #include <Kokkos_Core.hpp>

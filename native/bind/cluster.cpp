@@ -9,10 +9,6 @@
 #include "mesh/refine.hpp"
 #include "mesh/stencil_sums.hpp"
 
-namespace nb = nanobind;
-using namespace amrpic;
-using namespace nb::literals;
-
 namespace {
 
 using Array3 = nb::ndarray<Real const, nb::ndim<3>, nb::f_contig, nb::device::cpu>;
@@ -91,11 +87,7 @@ void bind_cluster(nb::module_& m) {
         std::vector<std::int64_t> const places(place.data(), place.data() + place.size());
         std::vector<std::int64_t> const kinds(kind.data(), kind.data() + kind.size());
         SharedStencils const stencils{first.data(), offset.data(), weight.data(), weight.shape(1)};
-        std::vector<Real> sums;
-        {
-          nb::gil_scoped_release release;
-          sums = stencil_sums(value.data(), steps, places, kinds, stencils);
-        }
+        auto sums = bind::released([&] { return stencil_sums(value.data(), steps, places, kinds, stencils); });
         return bind::to_array(std::move(sums), {place.size(), weight.shape(1)});
       },
       "value"_a, "place"_a, "kind"_a, "first"_a, "offset"_a, "weight"_a,

@@ -31,6 +31,13 @@ nb::ndarray<nb::numpy, T> to_array(std::vector<T> values) {
   return to_array(std::move(values), {n});
 }
 
+/// What f gives, while Python may run something else.
+template <class F>
+auto released(F&& f) {
+  nb::gil_scoped_release release;
+  return f();
+}
+
 /// Rows of lower x, y, z, upper x, y, z.
 inline std::vector<Box> to_boxes(IntRows const& rows) {
   std::vector<Box> out;

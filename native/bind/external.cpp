@@ -1,4 +1,3 @@
-#include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/optional.h>
@@ -12,9 +11,6 @@
 #include "bind/convert.hpp"
 #include "external/external_fields.hpp"
 
-namespace nb = nanobind;
-using namespace nb::literals;
-using namespace amrpic;
 using namespace amrpic::external;
 
 namespace {
@@ -105,30 +101,12 @@ std::array<Rows, 5> edges(ExternalFields const& fields, Flights const& flights) 
 
 void bind_external(nb::module_& m) {
   nb::class_<Enge>(m, "EngeFringe")
-      .def(
-          "__init__",
-          [](Enge* self, Real gap, std::array<Real, 6> coefficient, Real reach) {
-            new (self) Enge{gap, coefficient, reach};
-          },
-          "gap"_a = 0.0, "coefficient"_a = std::array<Real, 6>{}, "reach"_a = 0.0,
-          "The profile of a magnet; gap = 0: hard edges.");
-  nb::class_<Uniform>(m, "UniformField")
-      .def(
-          "__init__",
-          [](Uniform* self, Real3 E, Real3 B) {
-            new (self) Uniform{E, B};
-          },
-          "E"_a, "B"_a);
-  nb::class_<Focusing>(m, "FocusingField")
-      .def(
-          "__init__", [](Focusing* self, Real3 gradient) { new (self) Focusing{gradient}; }, "gradient"_a);
+      .def(nb::init<Real, std::array<Real, 6>, Real>(), "gap"_a = 0.0, "coefficient"_a = std::array<Real, 6>{},
+           "reach"_a = 0.0, "The profile of a magnet; gap = 0: hard edges.");
+  nb::class_<Uniform>(m, "UniformField").def(nb::init<Real3, Real3>(), "E"_a, "B"_a);
+  nb::class_<Focusing>(m, "FocusingField").def(nb::init<Real3>(), "gradient"_a);
   nb::class_<Quadrupole>(m, "QuadrupoleField")
-      .def(
-          "__init__",
-          [](Quadrupole* self, Real gradient, Real half, Enge const& fringe) {
-            new (self) Quadrupole{gradient, half, fringe};
-          },
-          "gradient"_a, "half"_a, "fringe"_a);
+      .def(nb::init<Real, Real, Enge const&>(), "gradient"_a, "half"_a, "fringe"_a);
   nb::class_<Dipole>(m, "DipoleField")
       .def(
           "__init__",
@@ -146,19 +124,10 @@ void bind_external(nb::module_& m) {
           "field"_a, "half"_a, "fringe"_a, "angle"_a = std::array<Real, 2>{}, "gradient"_a = 0.0, "turn"_a = 0.0,
           "lost"_a = std::array<Real, 2>{});
   nb::class_<Multipole>(m, "MultipoleField")
-      .def(
-          "__init__",
-          [](Multipole* self, std::array<Real, Multipole::most> normal, std::array<Real, Multipole::most> skew) {
-            new (self) Multipole{normal, skew};
-          },
-          "normal"_a, "skew"_a, "Factors of (x + i y)^n in B_y + i B_x, T/m^n.");
+      .def(nb::init<std::array<Real, Multipole::most>, std::array<Real, Multipole::most>>(), "normal"_a, "skew"_a,
+           "Factors of (x + i y)^n in B_y + i B_x, T/m^n.");
   nb::class_<Solenoid>(m, "SolenoidField")
-      .def(
-          "__init__",
-          [](Solenoid* self, Real field, Real half, Real radius) {
-            new (self) Solenoid{field, half, radius};
-          },
-          "field"_a, "half"_a, "radius"_a, "radius = 0: hard edges.");
+      .def(nb::init<Real, Real, Real>(), "field"_a, "half"_a, "radius"_a, "radius = 0: hard edges.");
   nb::class_<Gap>(m, "GapField")
       .def(
           "__init__",

@@ -1,9 +1,6 @@
-#include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/unique_ptr.h>
-
-#include <cmath>
 
 #include "bind/bind.hpp"
 #include "bind/convert.hpp"
@@ -12,10 +9,6 @@
 #include "fem/operators.hpp"
 #include "solver/node_equations.hpp"
 #include "solver/node_rows.hpp"
-
-namespace nb = nanobind;
-using namespace nb::literals;
-using namespace amrpic;
 
 namespace {
 
@@ -68,11 +61,7 @@ std::vector<Real> free_of(Flags const& fixed) {
 /// An operator's function of vectors of so many values, without the interpreter.
 template <class F>
 nb::ndarray<nb::numpy, Real> computed(F&& f) {
-  std::vector<Real> out;
-  {
-    nb::gil_scoped_release release;
-    out = f();
-  }
+  auto out = bind::released([&] { return f(); });
   return bind::to_array(std::move(out));
 }
 
@@ -93,12 +82,10 @@ void bind_fem(nb::module_& m) {
       "fem_fit_moments",
       [](bind::Starts first, bind::RealRows reference, bind::Reals volume, Flags full, Real element_volume,
          int highest) {
-        fem::FittedWeights fitted;
-        {
-          nb::gil_scoped_release release;
-          fitted = fem::fit_moments({first.data(), first.data() + first.size()}, reference.data(), volume.data(),
-                                    full.data(), element_volume, highest);
-        }
+        auto fitted = bind::released([&] {
+          return fem::fit_moments({first.data(), first.data() + first.size()}, reference.data(), volume.data(),
+                                  full.data(), element_volume, highest);
+        });
         return nb::make_tuple(bind::to_array(std::move(fitted.weight)), bind::to_array(std::move(fitted.degree)));
       },
       "first"_a, "reference"_a, "volume"_a, "full"_a, "element_volume"_a, "highest"_a,
@@ -106,12 +93,7 @@ void bind_fem(nb::module_& m) {
 
   nb::class_<fem::Lattice>(m, "FemLattice",
                            "Nodes of elements on the base cells of a hierarchy; amrpic.fem.Mesh has it.")
-      .def(
-          "__init__",
-          [](fem::Lattice* self, std::shared_ptr<Hierarchy> const& hierarchy, int degree) {
-            new (self) fem::Lattice(hierarchy, degree);
-          },
-          "hierarchy"_a, "degree"_a)
+      .def(nb::init<std::shared_ptr<Hierarchy>, int>(), "hierarchy"_a, "degree"_a)
       .def("nodes", [](fem::Lattice const& l) { return indices_of(l.nodes()); })
       .def("elements", [](fem::Lattice const& l) { return indices_of(l.elements()); })
       .def(
@@ -212,12 +194,10 @@ void bind_fem(nb::module_& m) {
           "solve",
           [](fem::Operator const& a, bind::Reals f, Flags fixed, bind::Reals values, int preconditioner, Real tolerance,
              int most_iterations, std::shared_ptr<NodeMultigrid> kept) {
-            NodeSolution found;
-            {
-              nb::gil_scoped_release release;
-              found = solve_nodes(a, f.data(), fixed.data(), values.data(), NodePreconditioner(preconditioner),
-                                  tolerance, most_iterations, kept);
-            }
+            auto found = bind::released([&] {
+              return solve_nodes(a, f.data(), fixed.data(), values.data(), NodePreconditioner(preconditioner),
+                                 tolerance, most_iterations, kept);
+            });
             return nb::make_tuple(bind::to_array(std::move(found.u)), bind::to_array(std::move(found.report.residuals)),
                                   found.report.curved_down, kept);
           },

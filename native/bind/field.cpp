@@ -10,10 +10,6 @@
 #include "mesh/sample.hpp"
 #include "mesh/transfer.hpp"
 
-namespace nb = nanobind;
-using namespace amrpic;
-using namespace nb::literals;
-
 void bind_field(nb::module_& m) {
   nb::class_<Field>(m, "Field")
       .def(nb::init<std::shared_ptr<Hierarchy const>, bool>(), "hierarchy"_a, "zero"_a = true)
@@ -43,11 +39,7 @@ void bind_field(nb::module_& m) {
           [](Field const& field, bind::RealRows points) {
             std::vector<Real3> at;
             for (std::size_t p = 0; p < points.shape(0); ++p) at.push_back({points(p, 0), points(p, 1), points(p, 2)});
-            std::vector<Real> values;
-            {
-              nb::gil_scoped_release release;
-              values = sample(field, at);
-            }
+            auto values = bind::released([&] { return sample(field, at); });
             return bind::to_array(std::move(values));
           },
           "points"_a);

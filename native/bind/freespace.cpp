@@ -1,4 +1,3 @@
-#include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/optional.h>
@@ -15,9 +14,6 @@
 #include "freespace/wall_counts.hpp"
 #include "mesh/walls.hpp"
 
-namespace nb = nanobind;
-using namespace nb::literals;
-using namespace amrpic;
 using namespace amrpic::freespace;
 
 namespace {
@@ -108,11 +104,7 @@ void bind_freespace(nb::module_& m) {
   m.def(
       "lattice_green",
       [](Point spacing, Cell reach, int order) {
-        std::vector<double> values;
-        {
-          nb::gil_scoped_release release;
-          values = lattice_green_octant(spacing, reach, {1, 1, 1}, order);
-        }
+        auto values = bind::released([&] { return lattice_green_octant(spacing, reach, {1, 1, 1}, order); });
         return bind::to_array(std::move(values),
                               {std::size_t(reach[2] + 1), std::size_t(reach[1] + 1), std::size_t(reach[0] + 1)});
       },
@@ -168,11 +160,7 @@ void bind_freespace(nb::module_& m) {
       .def(
           "walls",
           [](OpenWalls& self, Field const& density) {
-            std::vector<double> values;
-            {
-              nb::gil_scoped_release release;
-              values = self.values(density);
-            }
+            auto values = bind::released([&] { return self.values(density); });
             nb::list out;
             for (OpenWalls::AtLevel const& at : self.levels) {
               std::vector<double> of_level;

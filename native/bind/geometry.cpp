@@ -3,10 +3,6 @@
 #include "geometry/triangles.hpp"
 #include "mesh/cells_in_metal.hpp"
 
-namespace nb = nanobind;
-using namespace amrpic;
-using namespace nb::literals;
-
 namespace {
 
 using Weights = nb::ndarray<int const, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
@@ -31,11 +27,8 @@ void bind_geometry(nb::module_& m) {
       .def(
           "crossings",
           [](Triangles const& triangles, bind::RealRows start, bind::RealRows direction) {
-            LineCrossings found;
-            {
-              nb::gil_scoped_release release;
-              found = triangles.crossings(start.data(), direction.data(), std::int64_t(start.shape(0)));
-            }
+            auto found = bind::released(
+                [&] { return triangles.crossings(start.data(), direction.data(), std::int64_t(start.shape(0))); });
             return nb::make_tuple(bind::to_array(std::move(found.line)), bind::to_array(std::move(found.parameter)),
                                   bind::to_array(std::move(found.depth)), bind::to_array(std::move(found.triangle)),
                                   bind::to_array(std::move(found.grazing)));

@@ -1,14 +1,9 @@
-#include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/array.h>
 
 #include "bind/bind.hpp"
 #include "bind/convert.hpp"
 #include "gmls/problem.hpp"
-
-namespace nb = nanobind;
-using namespace nb::literals;
-using namespace amrpic;
 
 namespace {
 

@@ -12,10 +12,6 @@
 #include "mesh/cells_around.hpp"
 #include "mesh/leaves_around.hpp"
 
-namespace nb = nanobind;
-using namespace amrpic;
-using namespace nb::literals;
-
 void bind_hierarchy(nb::module_& m) {
   nb::exception<HierarchyError>(m, "HierarchyError");
   nb::exception<SolverError>(m, "SolverError");
@@ -113,11 +109,7 @@ void bind_hierarchy(nb::module_& m) {
       .def(
           "leaves_around",
           [](Hierarchy const& h, Real reach) {
-            LeavesAround found;
-            {
-              nb::gil_scoped_release release;
-              found = leaves_around(h, reach);
-            }
+            auto found = bind::released([&] { return leaves_around(h, reach); });
             return nb::make_tuple(bind::to_array(std::move(found.leaf)), bind::to_array(std::move(found.radius)),
                                   bind::to_array(std::move(found.start)), bind::to_array(std::move(found.cell)),
                                   bind::to_array(std::move(found.kind)),

@@ -1,4 +1,3 @@
-#include <nanobind/nanobind.h>
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/vector.h>
@@ -8,19 +7,11 @@
 #include "material/ogden.hpp"
 #include "material/phase_field.hpp"
 
-namespace nb = nanobind;
-using namespace nb::literals;
-using namespace amrpic;
 using material::Tensor;
 
 void bind_material(nb::module_& m) {
   nb::class_<material::NeoHookean>(m, "NeoHookean")
-      .def(
-          "__init__",
-          [](material::NeoHookean* self, Real mu, Real lambda) {
-            new (self) material::NeoHookean{mu, lambda};
-          },
-          "mu"_a, "lambda_"_a)
+      .def(nb::init<Real, Real>(), "mu"_a, "lambda_"_a)
       .def("energy", &material::NeoHookean::energy, "f"_a, "Per initial volume.")
       .def("stress", &material::NeoHookean::stress, "f"_a, "Kirchhoff's.")
       .def("change_initially", &material::NeoHookean::change_initially, "f"_a, "change"_a)
@@ -50,12 +41,7 @@ void bind_material(nb::module_& m) {
           "f"_a, "h"_a);
 
   nb::class_<material::DamagedNeoHookean>(m, "DamagedNeoHookean")
-      .def(
-          "__init__",
-          [](material::DamagedNeoHookean* self, Real mu, Real lambda, Real residual) {
-            new (self) material::DamagedNeoHookean{mu, lambda, residual};
-          },
-          "mu"_a, "lambda_"_a, "residual"_a)
+      .def(nb::init<Real, Real, Real>(), "mu"_a, "lambda_"_a, "residual"_a)
       .def("energy", &material::DamagedNeoHookean::energy, "f"_a, "damage"_a)
       .def("driving_energy", &material::DamagedNeoHookean::driving_energy, "f"_a)
       .def("stress", &material::DamagedNeoHookean::stress, "f"_a, "damage"_a)

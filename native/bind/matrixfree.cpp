@@ -11,10 +11,6 @@
 #include "cycle/capacity.hpp"
 #include "cycle/cycle.hpp"
 
-namespace nb = nanobind;
-using namespace amrpic;
-using namespace nb::literals;
-
 namespace {
 
 using Values = std::vector<bind::Reals>;  ///< [level]
@@ -175,13 +171,7 @@ void bind_matrixfree(nb::module_& m) {
       .def("work", &cycle::CyclePlans::work, "rank"_a, nb::call_guard<nb::gil_scoped_release>(),
            "What `cycle_work` gives of another rank. Local.");
   nb::class_<Means>(m, "Means", "Leads from values at the centres of cells to means over them, and back.")
-      .def(
-          "__init__",
-          [](Means* self, std::shared_ptr<Hierarchy const> hierarchy) {
-            nb::gil_scoped_release release;
-            new (self) Means(std::move(hierarchy));
-          },
-          "hierarchy"_a)
+      .def(nb::init<std::shared_ptr<Hierarchy const>>(), "hierarchy"_a, nb::call_guard<nb::gil_scoped_release>())
       .def("to_points", &Means::to_points, "means"_a, "points"_a, nb::call_guard<nb::gil_scoped_release>())
       .def("to_means", &Means::to_means, "points"_a, "means"_a, nb::call_guard<nb::gil_scoped_release>());
   nb::class_<CompositeLaplacian>(m, "CompositeLaplacian")

@@ -1,4 +1,3 @@
-#include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/unique_ptr.h>
@@ -9,10 +8,6 @@
 #include "bind/convert.hpp"
 #include "mpm/damage.hpp"
 #include "mpm/solid.hpp"
-
-namespace nb = nanobind;
-using namespace nb::literals;
-using namespace amrpic;
 
 namespace {
 
@@ -35,11 +30,7 @@ void bind_mpm(nb::module_& m) {
       .def(
           "respond",
           [](mpm::Solid const& solid, bind::Reals u) {
-            mpm::Response found;
-            {
-              nb::gil_scoped_release release;
-              found = mpm::respond(solid, u.data());
-            }
+            auto found = bind::released([&] { return mpm::respond(solid, u.data()); });
             return nb::make_tuple(bind::to_array(std::move(found.force)), found.energy, found.smallest_j);
           },
           "u"_a, "Internal forces, energy, and the smallest det F.")

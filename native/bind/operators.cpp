@@ -9,10 +9,6 @@
 #include "bind/convert.hpp"
 #include "solver/poisson.hpp"
 
-namespace nb = nanobind;
-using namespace amrpic;
-using namespace nb::literals;
-
 namespace {
 
 SparseMatrix const& find(LevelOperators const& o, std::string const& name, int axis) {

@@ -1,4 +1,3 @@
-#include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/optional.h>
@@ -26,10 +25,6 @@
 #include "particle/moments.hpp"
 #include "particle/push.hpp"
 #include "particle/random.hpp"
-
-namespace nb = nanobind;
-using namespace amrpic;
-using namespace nb::literals;
 
 namespace {
 
@@ -129,8 +124,7 @@ void bind_particle(nb::module_& m) {
       .def(nb::init<std::size_t>(), "bytes"_a);
 
   nb::class_<ParticleMesh>(m, "ParticleMesh")
-      .def(nb::init<std::shared_ptr<Hierarchy const>>(), "hierarchy"_a, nb::call_guard<nb::gil_scoped_release>())
-      .def_prop_ro("slots", [](ParticleMesh const& mesh) { return mesh.boxes().size(); });
+      .def(nb::init<std::shared_ptr<Hierarchy const>>(), "hierarchy"_a, nb::call_guard<nb::gil_scoped_release>());
 
   nb::class_<RemoteBricks>(m, "RemoteBricks")
       .def(
@@ -207,11 +201,7 @@ void bind_particle(nb::module_& m) {
           "start",
           [](BoundMigration& self, Columns position, std::optional<Columns> momentum, OnePerParticle weight,
              Row<std::int64_t> id) {
-            bool finite;
-            {
-              nb::gil_scoped_release release;
-              finite = self.start(view(position, momentum, weight, id));
-            }
+            auto finite = bind::released([&] { return self.start(view(position, momentum, weight, id)); });
             self.arrays.reset();
             return finite;
           },
@@ -276,12 +266,8 @@ void bind_particle(nb::module_& m) {
       .value("ellipse", Aperture::Hole::ellipse)
       .value("rectangle", Aperture::Hole::rectangle);
   nb::class_<Whereabouts>(m, "Whereabouts")
-      .def(
-          "__init__",
-          [](Whereabouts* self, Real3 origin, std::array<Real3, 3> axes, Real reach) {
-            new (self) Whereabouts{origin, axes, reach};
-          },
-          "origin"_a, "axes"_a, "reach"_a, "Origin (m) and unit vectors; flights that start farther from z miss.")
+      .def(nb::init<Real3, std::array<Real3, 3>, Real>(), "origin"_a, "axes"_a, "reach"_a,
+           "Origin (m) and unit vectors; flights that start farther from z miss.")
       .def_prop_ro("is_turned", [](Whereabouts const& of) { return !of.is_laboratory(); });
   nb::class_<Aperture>(m, "Aperture")
       .def(
@@ -299,12 +285,7 @@ void bind_particle(nb::module_& m) {
         return std::array<Real, 2>{of.z.lower, of.z.upper};
       });
   nb::class_<Screen>(m, "Screen")
-      .def(
-          "__init__",
-          [](Screen* self, Real z, Whereabouts const& where) {
-            new (self) Screen{z, where};
-          },
-          "z"_a, "where"_a = Whereabouts{})
+      .def(nb::init<Real, Whereabouts const&>(), "z"_a, "where"_a = Whereabouts{})
       .def_ro("z", &Screen::z)
       .def_prop_ro("is_turned", [](Screen const& of) { return !of.where.is_laboratory(); });
   m.def(
@@ -379,12 +360,10 @@ void bind_particle(nb::module_& m) {
          Real shift, Real scale, std::optional<Row<Real>> out) {
         std::size_t const count = places ? places->shape(0) : from.shape(0);
         if (out && out->shape(0) != count) throw std::invalid_argument("as many places as values are asked for");
-        ColumnSums of;
-        {
-          nb::gil_scoped_release release;
-          of = take_column({from.data(), from.stride(0)}, places ? places->data() : nullptr, std::int64_t(count), shift,
-                           scale, out ? out->data() : nullptr);
-        }
+        auto of = bind::released([&] {
+          return take_column({from.data(), from.stride(0)}, places ? places->data() : nullptr, std::int64_t(count),
+                             shift, scale, out ? out->data() : nullptr);
+        });
         return nb::make_tuple(of.sum, of.magnitude, of.least, of.greatest);
       },
       "column"_a, "places"_a.none(), "shift"_a, "scale"_a, "out"_a.none(),

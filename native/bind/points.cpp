@@ -2,10 +2,6 @@
 #include "bind/convert.hpp"
 #include "solver/point_equations.hpp"
 
-namespace nb = nanobind;
-using namespace nb::literals;
-using namespace amrpic;
-
 void bind_points(nb::module_& m) {
   m.def(
       "solve_points",
@@ -16,12 +12,10 @@ void bind_points(nb::module_& m) {
         rows.column.assign(column.data(), column.data() + column.size());
         rows.value.assign(value.data(), value.data() + value.size());
         std::vector<Real> const b(right_hand_sides.data(), right_hand_sides.data() + right_hand_sides.size());
-        PointSolution found;
-        {
-          nb::gil_scoped_release release;
-          found = solve_points(Communicator(MPI_Comm_f2c(ranks)), rows, b, right_hand_sides.shape(0), tolerance,
-                               most_iterations);
-        }
+        auto found = bind::released([&] {
+          return solve_points(Communicator(MPI_Comm_f2c(ranks)), rows, b, right_hand_sides.shape(0), tolerance,
+                              most_iterations);
+        });
         return nb::make_tuple(
             bind::to_array(std::move(found.x), {right_hand_sides.shape(0), right_hand_sides.shape(1)}),
             found.iterations, found.residual);

@@ -12,10 +12,6 @@
 #include "solver/poisson.hpp"
 #include "solver/work_unit.hpp"
 
-namespace nb = nanobind;
-using namespace amrpic;
-using namespace nb::literals;
-
 void bind_solver(nb::module_& m) {
   m.attr("vacuum_permittivity") = vacuum_permittivity;
   nb::enum_<Norm>(m, "Norm").value("l1", Norm::l1).value("l2", Norm::l2).value("max", Norm::max);
@@ -155,14 +151,10 @@ void bind_solver(nb::module_& m) {
           },
           "electrodes"_a, "ask"_a);
   nb::class_<PoissonSolver>(m, "PoissonSolver")
-      .def(
-          "__init__",
-          [](PoissonSolver* self, std::shared_ptr<Hierarchy const> hierarchy, SolverOptions const& options,
-             Reusable const& reusable, std::shared_ptr<Metal const> metal) {
-            nb::gil_scoped_release release;
-            new (self) PoissonSolver(std::move(hierarchy), options, reusable, std::move(metal));
-          },
-          "hierarchy"_a, "options"_a, "reusable"_a, "metal"_a.none() = nullptr)
+      .def(nb::init<std::shared_ptr<Hierarchy const>, SolverOptions const&, Reusable const&,
+                    std::shared_ptr<Metal const>>(),
+           "hierarchy"_a, "options"_a, "reusable"_a, "metal"_a.none() = nullptr,
+           nb::call_guard<nb::gil_scoped_release>())
       .def("set_potentials", &PoissonSolver::set_potentials, "potentials"_a)
       .def(
           "add_gaps",

@@ -130,16 +130,15 @@ class CompositeLaplacian {
   /// Norm of the largest single term of the Laplacian, the diagonal one: what rounding is relative to. Collective.
   Real diagonal_norm(Field const& phi, Norm norm) { return residual_->diagonal_norm(phi, norm); }
 
-  /// truncation = scale[level] * the truncation error of the Laplacian in uncovered cells, zero in covered ones,
-  /// rounded to T: for each cell what the Laplacian of the next coarser level makes of the mean potentials there, less
+  /// truncation = scale[level] * the truncation error of the Laplacian in uncovered cells, zero in covered ones:
+  /// for each cell what the Laplacian of the next coarser level makes of the mean potentials there, less
   /// the mean of f, over three; trilinear between the coarser cells. The base's next coarser level has `base_ratio`
   /// times its spacing; {1, 1, 1} if it has none, which leaves zeros there. Nothing is known of cells at walls, and of
   /// those with covered children. `phi` must be averaged down. Lists are made anew by each call. Returns the largest
   /// magnitude, without the scale. Collective.
   /// In fourth order it comes from sixth differences, on all levels, and needs nothing coarser.
-  template <class T>
   Real truncation(Source const& source, Field const& phi, Index3 const& base_ratio, std::vector<Real> const& scale,
-                  Blocks<T> const& truncation) {
+                  Blocks<float> const& truncation) {
     if (means_) return means_->field.truncation(phi, source.walls, scale, truncation);
     return composite_truncation(mesh_, source, phi, base_ratio, scale, truncation);
   }

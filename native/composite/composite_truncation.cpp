@@ -131,9 +131,8 @@ void estimate_row(int n, Equation const& coarse, Real const* __restrict potentia
 }
 
 /// What is known in the parents, in the uncovered cells of a box.
-template <class T>
 void prolong_truncation(CompositeMesh const& mesh, int l, int b, Index3 const& ratio, ArrayOnBox<Real> const& error,
-                        Real scale, Block<T> const& out, Magnitude& largest) {
+                        Real scale, Block<float> const& out, Magnitude& largest) {
   Box const& own = mesh.box(l, b);
   int const width = error.box().extent(0), first = error.box().lower[0];
   int const before = floor_divide(own.lower[0], ratio[0]) - first;  // parents in front of the first cell's
@@ -157,9 +156,8 @@ void prolong_truncation(CompositeMesh const& mesh, int l, int b, Index3 const& r
 
 }  // namespace
 
-template <class T>
 Real composite_truncation(CompositeMesh& mesh, Source const& source, Field const& phi, Index3 const& base_ratio,
-                          std::vector<Real> const& scale, Blocks<T> const& truncation) {
+                          std::vector<Real> const& scale, Blocks<float> const& truncation) {
   Magnitude largest(Norm::max);
   for (int l = 0; l < mesh.levels(); ++l) {
     Index3 const ratio = l > 0 ? refinement_ratio : base_ratio;
@@ -195,9 +193,5 @@ Real composite_truncation(CompositeMesh& mesh, Source const& source, Field const
   }
   return largest.over(mesh.comm());
 }
-template Real composite_truncation(CompositeMesh& mesh, Source const&, Field const&, Index3 const&,
-                                   std::vector<Real> const&, Blocks<float> const&);
-template Real composite_truncation(CompositeMesh& mesh, Source const&, Field const&, Index3 const&,
-                                   std::vector<Real> const&, Blocks<Real> const&);
 
 }  // namespace amrpic

@@ -6,8 +6,7 @@ namespace amrpic {
 
 /// truncation = scale[level] * the truncation error of the operator in uncovered cells; see CompositeLaplacian.
 /// Collective.
-template <class T>
 Real composite_truncation(CompositeMesh& mesh, Source const& source, Field const& phi, Index3 const& base_ratio,
-                          std::vector<Real> const& scale, Blocks<T> const& truncation);
+                          std::vector<Real> const& scale, Blocks<float> const& truncation);
 
 }  // namespace amrpic

@@ -192,9 +192,8 @@ ElectricField FourthOrderField::electric_field(Field const& phi, std::vector<Wal
   return ElectricField(out);
 }
 
-template <class T>
 Real FourthOrderField::truncation(Field const& phi, std::vector<Walls> const& walls, std::vector<Real> const& scale,
-                                  Blocks<T> const& truncation) {
+                                  Blocks<float> const& truncation) {
   Field sum(phi.share_hierarchy()), fourth(phi.share_hierarchy(), false);
   for (int d = 0; d < 3; ++d) {
     ghosts_.visit(phi, &walls, Ends::ghosts, FullyCovered::visit, [&](int l, int b) {
@@ -226,7 +225,5 @@ Real FourthOrderField::truncation(Field const& phi, std::vector<Walls> const& wa
   });
   return mesh_.comm().largest(largest);
 }
-template Real FourthOrderField::truncation(Field const&, std::vector<Walls> const&, std::vector<Real> const&,
-                                           Blocks<float> const&);
 
 }  // namespace amrpic

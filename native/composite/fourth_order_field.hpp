@@ -47,11 +47,10 @@ class FourthOrderField {
   std::vector<std::vector<std::vector<AddedDensity>>> beside_coarse_faces(Field const& density);
 
   /// truncation = scale[level] * the truncation error of the Laplacian in uncovered cells, zero in covered ones,
-  /// rounded to T, from sixth differences: -h^4/90 times the sixth derivatives. Nothing is known of cells where a level
+  /// from sixth differences: -h^4/90 times the sixth derivatives. Nothing is known of cells where a level
   /// ends. Returns the largest magnitude, without the scale. Collective.
-  template <class T>
   Real truncation(Field const& phi, std::vector<Walls> const& walls, std::vector<Real> const& scale,
-                  Blocks<T> const& truncation);
+                  Blocks<float> const& truncation);
 
  private:
   void second_differences(Box const& own, Real const* cells, bool four_points, Real* out) const;

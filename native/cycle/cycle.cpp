@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <limits>
 
-#include "base/no_denormals.hpp"
 #include "multigrid/metal_on_levels.hpp"
 #include "multigrid/semicoarse.hpp"
 

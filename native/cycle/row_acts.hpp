@@ -2,7 +2,6 @@
 #pragma once
 
 #include <algorithm>
-#include <utility>
 
 #include "cycle/parents.hpp"
 #include "cycle/row_kernels.hpp"

@@ -11,22 +11,13 @@ namespace amrpic::fem {
 /// Allocates from a cache line on, so that no vector of the processor is read from two of them; what is freed goes back
 /// to the system, as numbers of points change from step to step.
 template <class T>
-struct BlockAllocator {
-  using value_type = T;
+struct BlockAllocator : CacheLines<T> {
   BlockAllocator() = default;
   template <class U>
   BlockAllocator(BlockAllocator<U> const&) {}
 
   T* allocate(std::size_t n) { return static_cast<T*>(::operator new(n * sizeof(T), std::align_val_t(cache_line))); }
   void deallocate(T* block, std::size_t) { ::operator delete(block, std::align_val_t(cache_line)); }
-  template <class U>
-  bool operator==(BlockAllocator<U> const&) const {
-    return true;
-  }
-  template <class U>
-  bool operator!=(BlockAllocator<U> const&) const {
-    return false;
-  }
 };
 
 /// Values of blocks of points, as in `Points::blocked`.

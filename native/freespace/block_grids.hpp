@@ -5,7 +5,6 @@
 // only adds depth; above the base, blocks double until one holds the domain.
 #pragma once
 
-#include <array>
 #include <tuple>
 #include <vector>
 

@@ -1,7 +1,6 @@
 // The potential of charges in free space by the 7-point operator: what an open wall needs.
 #pragma once
 
-#include <array>
 #include <memory>
 #include <vector>
 

@@ -3,7 +3,6 @@
 
 #include <array>
 
-#include "base/inverse_root.hpp"
 #include "freespace/lane_sums.hpp"
 
 namespace amrpic::freespace {

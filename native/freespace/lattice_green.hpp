@@ -10,7 +10,6 @@
 #include <array>
 #include <vector>
 
-#include "base/inverse_root.hpp"
 #include "freespace/lane_sums.hpp"
 
 namespace amrpic::freespace {

@@ -5,6 +5,7 @@
 #include <map>
 
 #include "base/error.hpp"
+#include "base/inverse_root.hpp"
 #include "freespace/near_field.hpp"
 
 namespace amrpic::freespace {

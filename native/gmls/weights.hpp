@@ -5,7 +5,6 @@
 #include <cmath>
 
 #include "base/inverse_root.hpp"
-#include "gmls/functionals.hpp"
 
 namespace amrpic::gmls {
 

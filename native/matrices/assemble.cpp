@@ -388,7 +388,7 @@ MultigridOperators reused(MultigridLevels const& multigrid, Prolongation prolong
       multigrid.boundary != former.multigrid.boundary || multigrid.shift != former.multigrid.shift)
     return out;
   auto same = [&](std::size_t l) { return same_level(multigrid, former.multigrid, l); };
-  bool const only_neighbours_count = !refines_open_wall(multigrid) && !refines_open_wall(former.multigrid);
+  bool const only_neighbours_count = !OpenWalls(multigrid).are_refined() && !OpenWalls(former.multigrid).are_refined();
   for (std::size_t l = 0; l < std::min(count, before); ++l) {
     bool lasts = (l == 0 || same(l - 1)) && same(l) && same(l + 1);
     for (std::size_t finer = l + 2; finer < std::max(count, before) && !only_neighbours_count; ++finer)

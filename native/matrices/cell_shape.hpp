@@ -8,7 +8,6 @@
 #include "mesh/metal_faces.hpp"
 #include "multigrid/stencil_cells.hpp"
 #include "stencil/gap_fit.hpp"
-#include "stencil/interface.hpp"
 #include "stencil/odd_extents.hpp"
 
 namespace amrpic {

@@ -7,7 +7,6 @@
 #include <utility>
 
 #include "base/error.hpp"
-#include "mesh/array_on_box.hpp"
 
 namespace amrpic {
 

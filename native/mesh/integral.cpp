@@ -1,7 +1,5 @@
 #include "mesh/integral.hpp"
 
-#include <algorithm>
-
 namespace amrpic {
 
 namespace {

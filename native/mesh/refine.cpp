@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <string>
 
-#include "base/communicator.hpp"
 #include "base/error.hpp"
 #include "mesh/array_on_box.hpp"
 #include "mesh/cluster.hpp"

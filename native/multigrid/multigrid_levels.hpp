@@ -7,7 +7,6 @@
 #include "mesh/hierarchy.hpp"
 #include "multigrid/stencil_cells.hpp"
 #include "stencil/equation.hpp"
-#include "stencil/intergrid.hpp"
 #include "stencil/odd_extents.hpp"
 #include "stencil/wall_ghost.hpp"
 

@@ -15,16 +15,6 @@ OpenWalls::OpenWalls(MultigridLevels const& multigrid) : multigrid_(multigrid) {
             refined_[d][side] |= multigrid.levels[l]->is_at_wall(box, d, side);
 }
 
-bool refines_open_wall(MultigridLevels const& multigrid) {
-  for (std::size_t l = multigrid.base + 1; l < multigrid.levels.size(); ++l)
-    for (Box const& box : multigrid.levels[l]->boxes())
-      for (int d = 0; d < 3; ++d)
-        for (int side = 0; side < 2; ++side)
-          if (multigrid.boundary[d][side] == Boundary::open && multigrid.levels[l]->is_at_wall(box, d, side))
-            return true;
-  return false;
-}
-
 Real OpenWalls::first(std::size_t l, Index3 const& cell, int axis, int side) const {
   Real const own = multigrid_.levels[l]->spacing()[axis];
   Real const finest = refined_[axis][side] ? finest_spacing(l, multigrid_.levels[l]->wrapped(cell), axis, side)

@@ -4,9 +4,6 @@
 
 namespace amrpic {
 
-/// Whether a refinement level touches an open wall.
-bool refines_open_wall(MultigridLevels const& multigrid);
-
 /// Where corrections vanish behind open walls.
 ///
 /// On each refinement level the potential is given at the ghost centres, half a cell outside; so a correction vanishes
@@ -15,6 +12,8 @@ bool refines_open_wall(MultigridLevels const& multigrid);
 class OpenWalls {
  public:
   explicit OpenWalls(MultigridLevels const& multigrid);
+  /// Whether a refinement level touches an open wall.
+  bool are_refined() const { return refined_ != decltype(refined_){}; }
 
   /// Factor of the first cell inside in the ghost of a correction behind an open wall. The correction vanishes h / 2
   /// behind the wall, h the mean spacing of the finest cells at that part of it. Zero where nothing is finer. The cell

@@ -5,7 +5,6 @@
 #include <cstdint>
 
 #include "base/types.hpp"
-#include "base/vector3.hpp"
 
 namespace amrpic {
 

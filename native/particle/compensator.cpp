@@ -2,7 +2,6 @@
 
 #include <algorithm>
 
-#include "base/lanes.hpp"
 #include "stencil/field_difference.hpp"
 
 namespace amrpic {

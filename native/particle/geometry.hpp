@@ -2,8 +2,6 @@
 // folded onto the wall cell, and the field there is that of the wall cell: see `Level::fold_at_walls`.
 #pragma once
 
-#include <algorithm>
-
 #include "mesh/level.hpp"
 #include "stencil/intergrid.hpp"
 

@@ -5,7 +5,6 @@
 
 #include "mesh/halo.hpp"
 #include "mesh/hierarchy.hpp"
-#include "particle/geometry.hpp"
 #include "particle/ghost_cells.hpp"
 
 namespace amrpic {

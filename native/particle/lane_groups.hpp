@@ -1,11 +1,7 @@
 // Eight particles at a time.
 #pragma once
 
-#include <algorithm>
-#include <array>
-#include <cmath>
 #include <cstdint>
-#include <cstring>
 
 #include "base/lanes.hpp"
 

@@ -1,6 +1,5 @@
 #include "particle/locate.hpp"
 
-#include <algorithm>
 #include <cmath>
 
 namespace amrpic {

@@ -1,9 +1,7 @@
 // How momenta and places change in fields, relativistically: formulas of values, of one particle or of eight at a time.
 #pragma once
 
-#include "base/constants.hpp"
 #include "base/inverse_root.hpp"
-#include "base/lanes.hpp"
 #include "base/vector3.hpp"
 
 namespace amrpic {

@@ -17,7 +17,6 @@
 #include "particle/tile.hpp"
 #include "particle/tile_batch.hpp"
 #include "particle/view.hpp"
-#include "stencil/field_difference.hpp"
 
 namespace amrpic {
 

@@ -1,7 +1,5 @@
 #pragma once
 
-#include <string>
-
 #include "mesh/hierarchy.hpp"
 #include "mesh/metal.hpp"
 

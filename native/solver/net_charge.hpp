@@ -1,7 +1,6 @@
 #pragma once
 
 #include "mesh/field.hpp"
-#include "mesh/hierarchy.hpp"
 
 namespace amrpic {
 

@@ -1,6 +1,5 @@
 #include "solver/node_aggregates.hpp"
 
-#include "mesh/array_on_box.hpp"
 #include "solver/node_rows.hpp"
 #include "solver/tpetra_rows.hpp"
 #include "solver/trilinos_solvers.hpp"

@@ -4,7 +4,6 @@
 
 #include "cycle/relays.hpp"
 #include "freespace/image.hpp"
-#include "mesh/domain.hpp"
 #include "mesh/norm.hpp"
 #include "stencil/intergrid.hpp"
 

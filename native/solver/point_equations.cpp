@@ -1,7 +1,6 @@
 #include "solver/point_equations.hpp"
 
 #include <algorithm>
-#include <utility>
 
 #include "solver/options.hpp"
 #include "solver/tpetra_rows.hpp"

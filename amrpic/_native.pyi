@@ -965,8 +965,6 @@ class ReservedMemory:
 
 class ParticleMesh:
     def __init__(self, hierarchy: Hierarchy) -> None: ...
-    @property
-    def slots(self) -> int: ...
 
 class RemoteBricks:
     def __init__(self, hierarchy: Hierarchy) -> None:

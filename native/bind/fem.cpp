@@ -61,7 +61,7 @@ std::vector<Real> free_of(Flags const& fixed) {
 /// An operator's function of vectors of so many values, without the interpreter.
 template <class F>
 nb::ndarray<nb::numpy, Real> computed(F&& f) {
-  auto out = bind::released([&] { return f(); });
+  auto out = bind::released(f);
   return bind::to_array(std::move(out));
 }
 

@@ -196,19 +196,24 @@ void Stencil::add_coefficients(Row* rows, CellBlock const& block,
   float const plain = 2 * (weight[0] + weight[1] + weight[2]) + shift_;
   std::vector<float> diagonal, held;
   std::map<std::array<float, 4>, std::int32_t> inner;  // of rows that no face of y and z changes, by their two ends
-  auto const changes = [&](int axis, int side) {
-    auto const& of = ghosts[axis][side];
-    return std::any_of(of.begin(), of.end(),
-                       [&](Ghost const& g) { return g.first != 0 || (table_.in_differences && held_by(g) != 0); });
-  };
-  bool const below_y = changes(1, 0), above_y = changes(1, 1), below_z = changes(2, 0), above_z = changes(2, 1);
+  std::vector<std::array<int, 2>> changing;            // axis and side of these faces
+  for (int axis = 1; axis < 3; ++axis)
+    for (int side = 0; side < 2; ++side) {
+      auto const& of = ghosts[axis][side];
+      if (std::any_of(of.begin(), of.end(),
+                      [&](Ghost const& g) { return g.first != 0 || (table_.in_differences && held_by(g) != 0); }))
+        changing.push_back({axis, side});
+    }
   for (int k = 0; k < nz; ++k)
     for (int j = 0; j < ny; ++j) {
       std::size_t const row = std::size_t(j + ny * k);
       Ghost const &lower = ghosts[0][0][row], &upper = ghosts[0][1][row];
       std::array<float, 4> const ends{lower.first, lower.factor, upper.first, upper.factor};
-      bool const at_below_y = below_y && j == 0, at_above_y = above_y && j == ny - 1, at_below_z = below_z && k == 0,
-                 at_above_z = above_z && k == nz - 1, inside = !(at_below_y || at_above_y || at_below_z || at_above_z);
+      auto const lies_at = [&](std::array<int, 2> const& face) {
+        auto const [axis, side] = face;
+        return (axis == 1 ? j : k) == (side == 0 ? 0 : block.box.extent(axis) - 1);
+      };
+      bool const inside = std::none_of(changing.begin(), changing.end(), lies_at);
       if (inside)
         if (auto const known = inner.find(ends); known != inner.end()) {
           rows[row].coefficients = known->second;
@@ -227,10 +232,8 @@ void Stencil::add_coefficients(Row* rows, CellBlock const& block,
         for (int i = 0; i < nx; ++i) diagonal[std::size_t(i)] -= weight[axis] * g[i].first;
         for (std::size_t i = 0; i < held.size(); ++i) held[i] += weight[axis] * held_by(g[i]);
       };
-      if (at_below_y) subtract(1, 0, k);
-      if (at_above_y) subtract(1, 1, k);
-      if (at_below_z) subtract(2, 0, j);
-      if (at_above_z) subtract(2, 1, j);
+      for (auto const& face : changing)
+        if (lies_at(face)) subtract(face[0], face[1], face[0] == 1 ? k : j);
       std::int32_t const start = pooled(std::size_t(block.cells.pitch_y), diagonal, held);
       if (inside) inner[ends] = start;
       rows[row].coefficients = start;
